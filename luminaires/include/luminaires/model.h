@@ -1,0 +1,156 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * The luminaire model: geometry, materials and emitters of a glTF file after its lamp recipe, in SI units.  Everything that a
+ * file says ambiguously has been settled when a lum_model exists; nothing downstream looks at glTF again.  Rooms are models too.
+ */
+#ifndef LUMINAIRES_MODEL_H
+#define LUMINAIRES_MODEL_H
+
+#include <lumigraph/lumigraph.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { LUM_NAME_SIZE = 128, LUM_NONE = -1 };
+
+/* A picture, decoded.  Texels are linear (sRGB undone where the slot says so), R,G,B,A floats in rows from the top, as glTF's (u,v). */
+typedef struct lum_image {
+    uint32_t width, height;
+    float *texels; /* width * height * 4 */
+} lum_image;
+
+typedef enum lum_wrap { LUM_WRAP_REPEAT = 0, LUM_WRAP_CLAMP = 1, LUM_WRAP_MIRROR = 2 } lum_wrap;
+
+/* A use of an image: sampler, texture coordinate set and KHR_texture_transform (uv' = m * (u,v,1)). image LUM_NONE = not textured. */
+typedef struct lum_texture {
+    int32_t image;
+    uint8_t coordinates; /* 0 or 1 */
+    uint8_t wrap_s, wrap_t; /* lum_wrap */
+    bool nearest;
+    float m[2][3];
+} lum_texture;
+
+/* What scatters light at a surface. */
+typedef enum lum_surface_kind {
+    LUM_SURFACE_PBR = 0,       /* glTF metallic-roughness, with transmission, volume, ior, diffuse transmission */
+    LUM_SURFACE_LAMBERT = 1,   /* recipe "diffuse": reflects base_color, Lambertian, nothing specular */
+    LUM_SURFACE_CONDUCTOR = 2, /* recipe "mirror"/"conductor": GGX of the given roughness (0 = smooth); reflectance base_color at all
+                                  angles ("mirror"), or Fresnel with eta, k ("conductor") */
+    LUM_SURFACE_BLACK = 3      /* absorbs everything */
+} lum_surface_kind;
+
+typedef enum lum_alpha { LUM_ALPHA_OPAQUE = 0, LUM_ALPHA_MASK = 1, LUM_ALPHA_BLEND = 2 } lum_alpha;
+
+typedef struct lum_material {
+    char name[LUM_NAME_SIZE];
+    lum_surface_kind kind;
+    float base_color[4];         /* linear R,G,B in [0,1]; alpha */
+    lum_texture base_texture;    /* sRGB */
+    float metallic, roughness;   /* [0,1]; GGX alpha = roughness^2 */
+    lum_texture metal_rough_texture; /* G roughness, B metallic */
+    lum_texture normal_texture;
+    float normal_scale;
+    float ior;                   /* >= 1; 1.5 by default */
+    float transmission;          /* [0,1], specular transmission (KHR_materials_transmission) */
+    lum_texture transmission_texture; /* R */
+    float diffuse_transmission;  /* [0,1]: share of the diffuse part that goes through (KHR_materials_diffuse_transmission) */
+    float diffuse_transmission_color[3];
+    bool thin;                   /* a transmitting surface is a thin wall (both faces at once: no refraction); false = the boundary of a solid */
+    float absorption[3];         /* 1/m inside a solid (KHR_materials_volume: -ln(colour)/distance) */
+    bool has_eta;                /* conductor with complex index eta - i k, per R,G,B */
+    float eta[3], k[3];
+    float emissive[3];           /* cd/m2, R,G,B (factor x strength, or from the recipe); all zero = doesn't emit */
+    lum_texture emissive_texture;/* sRGB */
+    lum_alpha alpha_mode;
+    float alpha_cutoff;
+    bool double_sided;
+    bool emits_back;             /* emission from the back face too (double-sided emitters) */
+} lum_material;
+
+typedef enum lum_light_kind { LUM_LIGHT_POINT = 0, LUM_LIGHT_SPOT = 1, LUM_LIGHT_DIRECTIONAL = 2 } lum_light_kind;
+
+/* KHR_lights_punctual.  Directional lights (lux) light rooms; they can't be baked. */
+typedef struct lum_light {
+    char name[LUM_NAME_SIZE];
+    lum_light_kind kind;
+    lmg_vec3 position;          /* metres, model frame minus lum_model.centre */
+    lmg_vec3 direction;         /* unit, where the light points */
+    float intensity[3];         /* cd (point, spot) or lx (directional), R,G,B */
+    double cos_inner, cos_outer;
+} lum_light;
+
+typedef struct lum_camera {
+    char name[LUM_NAME_SIZE];
+    lmg_vec3 eye, forward, up; /* model frame (centre NOT subtracted), unit vectors */
+    double yfov;               /* radians */
+} lum_camera;
+
+/* One drawn piece: a primitive of a mesh in a node. */
+typedef struct lum_part {
+    char node[LUM_NAME_SIZE];
+    char mesh[LUM_NAME_SIZE];
+    int32_t material;
+    uint32_t first_triangle, triangle_count;
+    double area;              /* m2 */
+    bool has_normals;         /* vertex normals came from the file: they say the true curve */
+    uint32_t boundary_edges;  /* edges with one triangle, after welding equal positions: 0 = closed */
+    double enclosed_volume;   /* m3, signed: negative = inward-facing winding; meaningful when closed */
+} lum_part;
+
+/* All arrays belong to the model.  Positions are relative to centre, which was subtracted in double before rounding to float. */
+typedef struct lum_model {
+    char path[1024];
+    uint64_t hash;            /* of the file, its buffers, images and the recipe: FNV-1a 64 */
+    lmg_vec3 centre;          /* metres, in the file's frame */
+    uint32_t vertex_count, triangle_count;
+    float *positions;         /* 3 per vertex, followed by at least 4 spare bytes (Embree reads 16) */
+    float *normals;           /* 3 per vertex, unit; flat ones where the file has none */
+    float *tangents;          /* 4 per vertex, or NULL */
+    float *uv[2];             /* 2 per vertex, or NULL */
+    float *colors;            /* 4 per vertex (linear), or NULL */
+    uint32_t *indices;        /* 3 per triangle; counter-clockwise seen from the front, also under mirroring transforms */
+    int32_t *triangle_material;
+    uint32_t *triangle_part;
+    uint32_t part_count;      lum_part *parts;
+    uint32_t material_count;  lum_material *materials; /* at least one */
+    uint32_t image_count;     lum_image *images;
+    uint32_t light_count;     lum_light *lights;
+    uint32_t camera_count;    lum_camera *cameras;
+    lmg_vec3 bounds_min, bounds_max; /* of the triangles (and punctual lights), relative to centre */
+    uint32_t warning_count;   char **warnings; /* one line each, naming the mesh or material and the recipe entry that would settle it */
+} lum_model;
+
+/* ------------------------------------------------------------------------------------------------------------- recipe */
+
+/* A lamp recipe: what a bake needs to know and glTF doesn't say.  JSON, specified in docs/recipe.md. */
+typedef struct lum_recipe lum_recipe;
+
+/* Reads a recipe file.  Unknown keys, wrong types and values out of range are errors that name line or key. */
+lmg_result lum_recipe_read(const char *path, lum_recipe **out, lmg_error *err);
+/* An empty recipe, to be filled by command-line shorthands. */
+lmg_result lum_recipe_create(lum_recipe **out, lmg_error *err);
+/* Adds one shorthand, e.g. "emitter:Bulb=800lm", "emitter:Tube=9500cd/m2", "thin:Glass", "no-emission:Shade", "mirror:Reflector=0.9",
+ * "diffuse:Casing=0.8", "leave-out:Pole".  Later entries win over earlier ones. */
+lmg_result lum_recipe_add(lum_recipe *recipe, const char *shorthand, lmg_error *err);
+void lum_recipe_destroy(lum_recipe *recipe);
+
+/* ---------------------------------------------------------------------------------------------------------------- load */
+
+/*
+ * Loads a .gltf or .glb (its default scene, else the first), applies the recipe (NULL = none), converts to SI and checks.
+ * Errors (LMG_ERROR_FILE_*, LMG_ERROR_INPUT, LMG_ERROR_UNSUPPORTED) name file, element and remedy; *out is NULL then.
+ * Files are untrusted.  The model is destroyed by lum_model_destroy.
+ */
+lmg_result lum_model_load(const char *path, const lum_recipe *recipe, lum_model **out, lmg_error *err);
+void lum_model_destroy(lum_model *model);
+
+/* ------------------------------------------------------------------------------------------------------------- lookups */
+
+/* Bilinear (or nearest) texel at texture coordinates uv[coordinates]; (1,1,1,1) when tex->image is LUM_NONE. */
+void lum_texture_fetch(const lum_model *model, const lum_texture *tex, const float uv0[2], const float uv1[2], float rgba[4]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,106 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Scattering at a surface: what a photon or a path does where it hits.
+ *
+ * A lum_surface is a material at a point, textures applied.  All directions are in the model frame and point AWAY from the surface:
+ * wi is where the light came from (photon tracing: minus its direction of travel), wo where it goes.
+ *
+ * Flux convention.  The density p(wo | wi) per steradian of wo says where the flux that arrives from wi goes; its integral over wo is the
+ * albedo.  lum_scatter_eval returns p(wo|wi) (R,G,B, 1/sr).  For flat normals p = f cos(wo), and reciprocity of f holds.  Radiance that
+ * leaves towards wo is: integral of L(wi) p(wo|wi) |cos_g wi| / |cos_g wo| dwi, with cos_g against the geometric normal: that is how the
+ * viewer uses the same functions backwards (adjoint), also under interpolated normals, and across refraction times (n_o/n_i)^2.
+ *
+ * Energy: the albedo never exceeds 1, and for lossless materials (reflectances 1, dielectrics) lum_scatter_sample returns weight exactly 1,
+ * whatever the roughness or the shading normal.
+ */
+#ifndef LUMINAIRES_SCATTER_H
+#define LUMINAIRES_SCATTER_H
+
+#include <luminaires/scene.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct lum_surface {
+    const lum_material *material;
+    lmg_vec3 ng;          /* geometric normal, front side */
+    lmg_vec3 ns, ts;      /* shading normal (interpolated, normal map), same side as ng, and tangent */
+    lum_surface_kind kind;
+    float base[3];        /* base colour with texture and vertex colour */
+    float metallic, alpha;/* alpha: GGX width (roughness^2); below LUM_SMOOTH the surface is specular (delta) */
+    float transmission, diffuse_transmission;
+    float coverage;       /* [0,1]: share of light that meets the surface at all (alpha mask / blend); the tracer decides by chance */
+    float emission[3];    /* cd/m2 towards the side of wi, zero on dark sides */
+    bool front;           /* the ray came from the front side */
+} lum_surface;
+
+/* GGX alpha below which a surface is treated as smooth (alpha 1e-4: lobe half-width 0.006 degrees). */
+#define LUM_SMOOTH 1e-4f
+
+/* Evaluates material, textures and normals at a hit reached by a ray travelling in direction d. */
+void lum_surface_at(const lum_model *model, const lum_hit *hit, lmg_vec3 d, lum_surface *out);
+
+typedef enum lum_event {
+    LUM_ABSORBED = 0,
+    LUM_REFLECTED = 1,
+    LUM_TRANSMITTED = 2, /* through a boundary of a solid, or through a thin wall: see lum_surface.material->thin */
+    LUM_DELTA = 4,       /* flag: from a delta distribution; pdf and eval don't apply */
+} lum_event;
+
+typedef struct lum_scattered {
+    lmg_vec3 wo;
+    float weight[3];  /* p / pdf for this choice, R,G,B in [0, ...); the expected weight is the albedo */
+    double pdf;       /* per steradian, of everything that could have given wo; 1 for delta */
+    int event;        /* LUM_ABSORBED (weight 0), or LUM_REFLECTED / LUM_TRANSMITTED, | LUM_DELTA */
+} lum_scattered;
+
+/* eta_outside: refractive index of the medium on the front side (1 for air); solids use material->ior behind.  xi: four numbers in [0,1),
+ * xi[3] may be reused (rescaled) for choices between lobes. */
+void lum_scatter_sample(const lum_surface *surface, lmg_vec3 wi, float eta_outside, const double xi[4], lum_scattered *out);
+void lum_scatter_eval(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, float eta_outside, float p[3]);
+double lum_scatter_pdf(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, float eta_outside);
+
+/* Exact Fresnel reflectance of unpolarised light: dielectric with relative index eta = n_t / n_i (cos_i in [0,1]; 1 beyond the critical
+ * angle) and conductor with relative complex index eta - i k.  Born and Wolf. */
+double lum_fresnel_dielectric(double cos_i, double eta);
+double lum_fresnel_conductor(double cos_i, double eta, double k);
+
+/* Transmittance and reflectance of a thin wall of index eta, all inter-reflections, no absorption: R = 2F/(1+F). */
+double lum_fresnel_thin(double cos_i, double eta);
+
+/* ------------------------------------------------------------------------------------------------------------ emitters */
+
+/* All that shines in a model: emissive triangles and point and spot lights, chosen in proportion to power. */
+typedef struct lum_emitters lum_emitters;
+
+lmg_result lum_emitters_create(const lum_model *model, lum_emitters **out, lmg_error *err);
+void lum_emitters_destroy(lum_emitters *emitters);
+
+/* Total flux in lumens (luminance) and as R,G,B; zero for a model that emits nothing. */
+double lum_emitters_flux(const lum_emitters *emitters, double rgb[3]);
+
+/* One emitted photon of luminance-weighted flux 1: origin (on the emitter, already offset off its surface), unit direction, flux R,G,B.  xi: six numbers. Textured emitters
+ * are sampled by rejection with numbers from next(state), so that every photon carries the same luminous flux. */
+typedef struct lum_photon {
+    lmg_vec3 origin, direction; /* model frame minus centre */
+    float flux[3];
+} lum_photon;
+void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], double (*next)(void *state), void *state, lum_photon *out);
+
+/* Next-event estimation, for the viewer: a point on an emitter as seen from p; radiance R,G,B arriving (unoccluded), direction, distance,
+ * pdf per steradian (delta lights: pdf 1, *delta true, radiance holds intensity / distance^2).  False if it contributes nothing. */
+typedef struct lum_light_sample {
+    lmg_vec3 direction;
+    double distance, pdf;
+    float radiance[3];
+    bool delta;
+} lum_light_sample;
+bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const double xi[3], lum_light_sample *out);
+/* pdf per steradian with which the above gives the direction that hits triangle at hit, from p. */
+double lum_emitters_point_pdf(const lum_emitters *emitters, lmg_vec3 p, const lum_hit *hit);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
