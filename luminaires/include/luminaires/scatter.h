@@ -24,8 +24,10 @@ extern "C" {
 
 typedef struct lum_surface {
     const lum_material *material;
+    const struct lum_tables *tables; /* albedo tables of rough lobes (microfacet.h); they belong to the scene */
     lmg_vec3 ng;          /* geometric normal, front side */
-    lmg_vec3 ns, ts;      /* shading normal (interpolated, normal map), same side as ng, and tangent */
+    lmg_vec3 ns;          /* shading normal (interpolated, normal map), same side as ng */
+    bool tilted;          /* ns differs from ng */
     lum_surface_kind kind;
     float base[3];        /* base colour with texture and vertex colour */
     float metallic, alpha;/* alpha: GGX width (roughness^2); below LUM_SMOOTH the surface is specular (delta) */
@@ -38,19 +40,23 @@ typedef struct lum_surface {
 /* GGX alpha below which a surface is treated as smooth (alpha 1e-4: lobe half-width 0.006 degrees). */
 #define LUM_SMOOTH 1e-4f
 
-/* Evaluates material, textures and normals at a hit reached by a ray travelling in direction d. */
-void lum_surface_at(const lum_model *model, const lum_hit *hit, lmg_vec3 d, lum_surface *out);
+/* Evaluates material, textures and normals at a hit reached by a ray travelling in direction d.  Takes the scene, not the model: the
+ * scene keeps a compact record per triangle.  The result is valid as long as the scene. */
+void lum_surface_at(const lum_scene *scene, const lum_hit *hit, lmg_vec3 d, lum_surface *out);
 
 typedef enum lum_event {
-    LUM_ABSORBED = 0,
+    LUM_ABSORBED = 0,   /* only by black surfaces; all others absorb through the weight */
     LUM_REFLECTED = 1,
-    LUM_TRANSMITTED = 2, /* through a boundary of a solid, or through a thin wall: see lum_surface.material->thin */
+    LUM_TRANSMITTED = 2, /* to the other side of the surface */
     LUM_DELTA = 4,       /* flag: from a delta distribution; pdf and eval don't apply */
+    LUM_BOUNDARY = 8     /* flag, with LUM_TRANSMITTED: through the boundary of a solid, so the medium changes (outside <-> the solid's
+                            inside); without it the light passed a thin wall or a diffusing sheet and the medium stays the same */
 } lum_event;
 
 typedef struct lum_scattered {
     lmg_vec3 wo;
-    float weight[3];  /* p / pdf for this choice, R,G,B in [0, ...); the expected weight is the albedo */
+    float weight[3];  /* R,G,B in [0,1]: the reflectance of the lobe chosen.  Its mean over everything that gives the same wo is p / pdf,
+                         its expectation is the albedo */
     double pdf;       /* per steradian, of everything that could have given wo; 1 for delta */
     int event;        /* LUM_ABSORBED (weight 0), or LUM_REFLECTED / LUM_TRANSMITTED, | LUM_DELTA */
 } lum_scattered;
@@ -58,6 +64,8 @@ typedef struct lum_scattered {
 /* eta_outside: refractive index of the medium on the front side (1 for air); solids use material->ior behind.  xi: four numbers in [0,1),
  * xi[3] may be reused (rescaled) for choices between lobes. */
 void lum_scatter_sample(const lum_surface *surface, lmg_vec3 wi, float eta_outside, const double xi[4], lum_scattered *out);
+/* The same without the pdf (left 0), which a photon tracer doesn't need and which costs as much as the sample. */
+void lum_scatter_trace(const lum_surface *surface, lmg_vec3 wi, float eta_outside, const double xi[4], lum_scattered *out);
 void lum_scatter_eval(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, float eta_outside, float p[3]);
 double lum_scatter_pdf(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, float eta_outside);
 

@@ -15,6 +15,11 @@ typedef struct lum_scene lum_scene;
 lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *err);
 void lum_scene_destroy(lum_scene *scene);
 
+/* To be called by every thread around its tracing: sets flush-to-zero and denormals-are-zero and masks floating-point traps, which Embree
+ * asks for, and gives back what was set before.  Results are the same bits on all threads only if all threads do it. */
+unsigned lum_thread_begin(void);
+void lum_thread_end(unsigned saved);
+
 /* Coordinates here are relative to model->centre (small numbers), metres. */
 typedef struct lum_hit {
     double t;              /* distance along the ray */
