@@ -1,0 +1,12 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The sample models; each writes <folder>/<name>.gltf and .bin (see dimensions.h for the measures). */
+#ifndef LUMIBOX_MODELS_MODELS_H
+#define LUMIBOX_MODELS_MODELS_H
+
+void make_paraboloid_spot(const char *folder);
+void make_opal_globe(const char *folder);
+void make_louvred_panel(const char *folder);
+void make_glass_lens(const char *folder);
+void make_room(const char *folder);
+
+#endif
