@@ -64,8 +64,23 @@ typedef struct lum_scattered {
 /* eta_outside: refractive index of the medium on the front side (1 for air); solids use material->ior behind.  xi: four numbers in [0,1),
  * xi[3] may be reused (rescaled) for choices between lobes. */
 void lum_scatter_sample(const lum_surface *surface, lmg_vec3 wi, float eta_outside, const double xi[4], lum_scattered *out);
-/* The same without the pdf (left 0), which a photon tracer doesn't need and which costs as much as the sample. */
-void lum_scatter_trace(const lum_surface *surface, lmg_vec3 wi, float eta_outside, const double xi[4], lum_scattered *out);
+
+/*
+ * Polarization of a photon: the electric field (complex, unit, perpendicular to the direction of travel, model frame) of a pure state;
+ * known = false: unpolarized, as emitters and diffuse reflection leave it; {0} at the start of a path.  Unpolarized light is a mixture of
+ * pure states, so photons in random pure states carry partly polarized light exactly.  It matters: reflection polarizes, and a clear
+ * pane transmits 0.8435 at 60 degrees where unpolarized formulae face by face give 0.8307.
+ */
+typedef struct lum_polarization {
+    lmg_vec3 re, im;
+    bool known;
+} lum_polarization;
+
+/* lum_scatter_sample for tracers that follow photons: without the pdf (left 0; see lum_scatter_pdf), which costs as much as the sample,
+ * and with the photon's polarization, updated (NULL = taken as unpolarized at every event).  Serves paths traced backwards from an
+ * eye just as well: transport is reciprocal. */
+void lum_scatter_trace(const lum_surface *surface, lmg_vec3 wi, float eta_outside, const double xi[4], lum_polarization *polarization,
+                       lum_scattered *out);
 void lum_scatter_eval(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, float eta_outside, float p[3]);
 double lum_scatter_pdf(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, float eta_outside);
 
@@ -74,7 +89,8 @@ double lum_scatter_pdf(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, flo
 double lum_fresnel_dielectric(double cos_i, double eta);
 double lum_fresnel_conductor(double cos_i, double eta, double k);
 
-/* Transmittance and reflectance of a thin wall of index eta, all inter-reflections, no absorption: R = 2F/(1+F). */
+/* Reflectance of a thin wall of index eta in unpolarized light, all inter-reflections, no absorption: the mean of 2F/(1+F) over the two
+ * polarizations; the rest is transmitted. */
 double lum_fresnel_thin(double cos_i, double eta);
 
 /* ------------------------------------------------------------------------------------------------------------ emitters */
