@@ -1,0 +1,81 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Threads over chunks of photon numbers.  Relies on POSIX threads and C11 atomics. */
+#include "parallel.h"
+
+#include <luminaires/scene.h>
+
+#include <pthread.h>
+#include <stdatomic.h>
+#include <unistd.h>
+
+/* Photons in a chunk: enough that taking one costs nothing, few enough that the threads finish together. */
+enum { CHUNK = 2048, MAX_THREADS = 1024 };
+
+typedef struct job {
+    const bake_work *work;
+    uint64_t first, count;
+    atomic_uint_fast64_t next;
+} job;
+
+typedef struct worker {
+    job *job;
+    void *state;
+    pthread_t thread;
+} worker;
+
+unsigned bake_thread_count(unsigned threads)
+{
+    if (threads == 0) {
+        long cores = sysconf(_SC_NPROCESSORS_ONLN);
+        threads = cores > 0 ? (unsigned)cores : 1;
+    }
+    return threads < MAX_THREADS ? threads : MAX_THREADS;
+}
+
+static void *work_through(void *argument)
+{
+    worker *w = argument;
+    job *j = w->job;
+    const unsigned saved = lum_thread_begin();
+    for (;;) {
+        const uint64_t at = atomic_fetch_add_explicit(&j->next, CHUNK, memory_order_relaxed);
+        if (at >= j->count)
+            break;
+        const uint64_t left = j->count - at;
+        j->work->chunk(j->work->self, w->state, j->first + at, left < CHUNK ? left : CHUNK);
+    }
+    lum_thread_end(saved);
+    return NULL;
+}
+
+lmg_result bake_parallel(const bake_work *work, uint64_t first, uint64_t count, unsigned threads, lmg_error *err)
+{
+    if (count == 0)
+        return LMG_OK;
+    const uint64_t chunks = (count - 1) / CHUNK + 1;
+    threads = bake_thread_count(threads);
+    if (threads > chunks)
+        threads = (unsigned)chunks;
+
+    worker workers[MAX_THREADS];
+    job j = {.work = work, .first = first, .count = count};
+    atomic_init(&j.next, 0);
+    for (unsigned i = 0; i < threads; ++i) {
+        workers[i].job = &j;
+        workers[i].state = work->begin(work->self);
+        if (!workers[i].state) {
+            for (unsigned k = 0; k < i; ++k)
+                work->end(work->self, workers[k].state);
+            return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the state of %u threads", threads);
+        }
+    }
+    unsigned started = 1;
+    while (started < threads && pthread_create(&workers[started].thread, NULL, work_through, &workers[started]) == 0)
+        ++started;
+    work_through(&workers[0]);
+    for (unsigned i = 1; i < started; ++i)
+        pthread_join(workers[i].thread, NULL);
+    for (unsigned i = 0; i < threads; ++i)
+        work->end(work->self, workers[i].state);
+    return LMG_OK;
+}
