@@ -234,6 +234,9 @@ LMG_API lmg_result lmg_field_scale(lmg_field *field, double factor, lmg_error *e
  * that is truncated, altered (its content hash disagrees) or contradicts itself.  Memory is bounded by the file's own checked sizes. */
 LMG_API lmg_result lmg_field_read(const char *path, lmg_field **out, lmg_error *err);
 
+/* The same from a block of memory that holds a whole box file.  name stands for the path in messages; may be NULL. */
+LMG_API lmg_result lmg_field_read_memory(const void *bytes, size_t size, const char *name, lmg_field **out, lmg_error *err);
+
 /* Writes a box file beside its final name and renames it, so that path never holds half a file. */
 LMG_API lmg_result lmg_field_write(const lmg_field *field, const char *path, lmg_error *err);
 
