@@ -1,0 +1,46 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * One light path, followed from the eye: the estimate of the radiance that arrives along a ray.
+ *
+ * At every surface the direct light is estimated in two ways, by choosing a light and a direction to it, and by following the surface's
+ * own scattering until it meets a light; both are combined by the power heuristic [Veach1997, section 9.2] with exact densities, light by
+ * light, so that each light's share is an unbiased estimate whatever the weights.
+ *
+ * Scattering backwards.  On lamps the photon tracer's flux density p(wo|wi) is used as its exact adjoint (luminaires/scatter.h), so that a
+ * lamp's geometry in the room and a bake of it agree also under interpolated normals.  On the room itself the path is scattered as a
+ * photon would be, which for flat shading is the same thing and under interpolated normals gives the smooth pictures that the normals
+ * are there for.
+ *
+ * Polarization travels with the path (transport is reciprocal), so that panes and lenses transmit what they should; light that is met
+ * by choosing a light directly is taken as unpolarized at that one surface.
+ *
+ * Boxes: eye rays and rays after a mirror or clear glass see a box through the LINEAR filter (a picture of the luminaire); all other light
+ * uses NEAREST, the very radiance that light sampling returns.
+ */
+#ifndef VIEWER_VIEW_PATH_H
+#define VIEWER_VIEW_PATH_H
+
+#include "view_scene.h"
+
+#include <luminaires/rng.h>
+
+/* Which of the two estimates of direct light is used; all three have the same mean (but scattering never meets punctual lights). */
+typedef enum view_strategy { VIEW_MIS = 0, VIEW_LIGHTS_ONLY = 1, VIEW_SCATTERING_ONLY = 2 } view_strategy;
+
+typedef struct view_path_options {
+    uint32_t max_depth; /* scatterings followed; 0 shows only what shines itself */
+    view_strategy strategy;
+} view_path_options;
+
+/* One thread's working memory and counters. */
+typedef struct view_worker {
+    double *weights; /* light_count numbers, from the caller */
+    uint64_t rays;   /* closest-hit rays and shadow rays traced */
+    uint64_t refused;/* estimates that weren't finite, counted as zero; 0 in a sound scene */
+} view_worker;
+
+/* Radiance (cd/m2, R,G,B) that reaches origin (world) from direction (unit, the way the ray looks). */
+void view_path_radiance(const view_scene *scene, const view_path_options *options, lmg_vec3 origin, lmg_vec3 direction, lum_rng *rng,
+                        view_worker *worker, double rgb[3]);
+
+#endif

@@ -1,0 +1,368 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * The scene: loading, placing, and rays against everything.  Each model keeps its own Embree scene; a ray asks the room and then those
+ * lamps whose bounds it meets before the nearest hit so far.
+ */
+#include "view_scene.h"
+
+#include <float.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* ------------------------------------------------------------------------------------------------------------ building */
+
+static void object_release(view_object *object)
+{
+    lum_emitters_destroy(object->emitters);
+    lum_scene_destroy(object->scene);
+    lum_model_destroy(object->model);
+}
+
+/* Fills an object from a file; on failure nothing is left over. */
+static lmg_result object_load(const char *path, const lum_recipe *recipe, view_object *out, lmg_error *err)
+{
+    *out = (view_object){.scale = 1};
+    lmg_result r = lum_model_load(path, recipe, &out->model, err);
+    if (r != LMG_OK) {
+        return r;
+    }
+    const lum_model *model = out->model;
+    if (model->triangle_count) {
+        r = lum_scene_create(model, &out->scene, err);
+    }
+    if (r == LMG_OK) {
+        r = lum_emitters_create(model, &out->emitters, err);
+    }
+    if (r != LMG_OK) {
+        object_release(out);
+        return r;
+    }
+    double rgb[3];
+    out->flux = lum_emitters_flux(out->emitters, rgb);
+    if (!(out->flux > 0)) {
+        lum_emitters_destroy(out->emitters);
+        out->emitters = NULL;
+        out->flux = 0;
+    }
+    for (uint32_t i = 0; i < model->material_count; i++) {
+        out->has_alpha = out->has_alpha || model->materials[i].alpha_mode != LUM_ALPHA_OPAQUE;
+    }
+    return LMG_OK;
+}
+
+lmg_result view_scene_create(const char *room_path, view_scene **out, lmg_error *err)
+{
+    *out = NULL;
+    view_scene *scene = calloc(1, sizeof *scene);
+    view_object *objects = calloc(1, sizeof *objects);
+    if (!scene || !objects) {
+        free(scene);
+        free(objects);
+        return lmg_fail(err, LMG_ERROR_MEMORY, "%s: out of memory", room_path);
+    }
+    lmg_result r = object_load(room_path, NULL, &objects[0], err);
+    if (r != LMG_OK) {
+        free(scene);
+        free(objects);
+        return r;
+    }
+    objects[0].motion = (view_motion){.r = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, .identity = true};
+    scene->objects = objects;
+    scene->object_count = 1;
+    scene->origin = objects[0].model->centre;
+    *out = scene;
+    return LMG_OK;
+}
+
+void view_scene_destroy(view_scene *scene)
+{
+    if (!scene) {
+        return;
+    }
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        object_release(&scene->objects[i]);
+    }
+    for (uint32_t i = 0; i < scene->box_count; i++) {
+        lmg_field_destroy(scene->boxes[i].field);
+    }
+    free(scene->objects);
+    free(scene->boxes);
+    free(scene->lights);
+    free(scene);
+}
+
+static lmg_result add_box(view_scene *scene, lmg_field *field, const char *path, const view_placement *placement, double flux,
+                          lmg_error *err)
+{
+    const lmg_layout *layout = lmg_field_layout(field);
+    double stored = 0;
+    for (uint32_t i = 0; i < layout->slab_count; i++) {
+        stored += lmg_field_slab_flux(field, i, NULL);
+    }
+    if (!(stored > 0)) {
+        lmg_field_destroy(field);
+        return lmg_fail(err, LMG_ERROR_INPUT, "%s: the box holds no light", path);
+    }
+    view_box *grown = realloc(scene->boxes, (scene->box_count + 1) * sizeof *grown);
+    if (!grown) {
+        lmg_field_destroy(field);
+        return lmg_fail(err, LMG_ERROR_MEMORY, "%s: out of memory", path);
+    }
+    scene->boxes = grown;
+    view_box *box = &grown[scene->box_count++];
+    double emitted = lmg_field_ledger(field).emitted;
+    *box = (view_box){.field = field, .scale = flux > 0 ? flux / (emitted > 0 ? emitted : stored) : 1};
+    box->flux = stored * box->scale;
+    view_placement_motion(placement, &box->motion);
+    box->motion.t = view_sub(placement->position, scene->origin);
+    lmg_vec3 half = view_scale(view_sub(layout->bounds_max, layout->bounds_min), 0.5);
+    box->centre = view_point_out(&box->motion, view_add(layout->bounds_min, half));
+    box->radius2 = view_dot(half, half);
+    strncpy(box->path, path, sizeof box->path - 1);
+    return LMG_OK;
+}
+
+lmg_result view_scene_adopt_box(view_scene *scene, lmg_field *field, const view_placement *placement, double flux, lmg_error *err)
+{
+    return add_box(scene, field, "box in memory", placement, flux, err);
+}
+
+lmg_result view_scene_add_box(view_scene *scene, const char *path, const view_placement *placement, double flux, lmg_error *err)
+{
+    lmg_field *field = NULL;
+    lmg_result r = lmg_field_read(path, &field, err);
+    return r == LMG_OK ? add_box(scene, field, path, placement, flux, err) : r;
+}
+
+lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_recipe *recipe, const view_placement *placement, double flux,
+                               lmg_error *err)
+{
+    view_object object;
+    lmg_result r = object_load(path, recipe, &object, err);
+    if (r != LMG_OK) {
+        return r;
+    }
+    if (!object.emitters) {
+        object_release(&object);
+        return lmg_fail(err, LMG_ERROR_INPUT,
+                        "%s: nothing in this lamp emits light; a recipe entry such as \"emitter:NAME=800lm\" says what shines", path);
+    }
+    view_object *grown = realloc(scene->objects, (scene->object_count + 1) * sizeof *grown);
+    if (!grown) {
+        object_release(&object);
+        return lmg_fail(err, LMG_ERROR_MEMORY, "%s: out of memory", path);
+    }
+    scene->objects = grown;
+    object.lamp = true;
+    if (flux > 0) {
+        object.scale = flux / object.flux;
+        object.flux = flux;
+    }
+    view_placement_motion(placement, &object.motion);
+    /* The model's coordinates are relative to its centre, the placement is of its file's origin. */
+    object.motion.t = view_add(view_direction_out(&object.motion, object.model->centre), view_sub(placement->position, scene->origin));
+    grown[scene->object_count++] = object;
+    return LMG_OK;
+}
+
+lmg_result view_scene_finish(view_scene *scene, lmg_error *err)
+{
+    size_t capacity = (size_t)scene->box_count + scene->object_count;
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        capacity += scene->objects[i].model->light_count;
+    }
+    free(scene->lights);
+    scene->light_count = 0;
+    scene->lights = calloc(capacity, sizeof *scene->lights);
+    if (!scene->lights) {
+        return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory for the list of lights");
+    }
+    for (uint32_t i = 0; i < scene->box_count; i++) {
+        const view_box *box = &scene->boxes[i];
+        scene->lights[scene->light_count++] = (view_light){.kind = VIEW_LIGHT_BOX,
+                                                           .index = i,
+                                                           .strength = box->flux / (4 * VIEW_PI),
+                                                           .centre = box->centre,
+                                                           .radius2 = box->radius2};
+    }
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        const view_object *object = &scene->objects[i];
+        const lum_model *model = object->model;
+        if (object->emitters) {
+            lmg_vec3 half = view_scale(view_sub(model->bounds_max, model->bounds_min), 0.5);
+            lmg_vec3 middle = view_add(model->bounds_min, half);
+            scene->lights[scene->light_count++] = (view_light){.kind = VIEW_LIGHT_EMITTERS,
+                                                               .index = i,
+                                                               .strength = object->flux / (4 * VIEW_PI),
+                                                               .centre = view_point_out(&object->motion, middle),
+                                                               .radius2 = view_dot(half, half)};
+        }
+        for (uint32_t j = 0; j < model->light_count; j++) {
+            const lum_light *light = &model->lights[j];
+            if (light->kind != LUM_LIGHT_DIRECTIONAL || !(lmg_luminance(light->intensity) > 0)) {
+                continue;
+            }
+            view_light *entry = &scene->lights[scene->light_count++];
+            *entry = (view_light){.kind = VIEW_LIGHT_DIRECTIONAL,
+                                  .index = i,
+                                  .strength = lmg_luminance(light->intensity) * object->scale,
+                                  .direction = view_direction_out(&object->motion, light->direction)};
+            for (int c = 0; c < 3; c++) {
+                entry->illuminance[c] = light->intensity[c] * (float)object->scale;
+            }
+        }
+    }
+    return LMG_OK;
+}
+
+double view_light_weights(const view_scene *scene, lmg_vec3 p, double *weights)
+{
+    /* The estimate knows nothing of a light's distribution, so a share of a tenth is dealt out evenly: no light that matters is starved. */
+    double sum = 0;
+    for (uint32_t i = 0; i < scene->light_count; i++) {
+        const view_light *light = &scene->lights[i];
+        if (light->kind == VIEW_LIGHT_DIRECTIONAL) {
+            weights[i] = light->strength;
+        } else {
+            lmg_vec3 v = view_sub(light->centre, p);
+            weights[i] = light->strength / fmax(fmax(view_dot(v, v), light->radius2), DBL_MIN);
+        }
+        sum += weights[i];
+    }
+    double even = 0.1 / 0.9 * sum / scene->light_count;
+    for (uint32_t i = 0; i < scene->light_count; i++) {
+        weights[i] += even;
+    }
+    return sum / 0.9;
+}
+
+/* ---------------------------------------------------------------------------------------------------------------- rays */
+
+/* Whether origin + t direction, 0 <= t < limit, meets the bounds, widened by the rounding that float geometry may have. */
+static bool meets_bounds(const lum_model *model, lmg_vec3 origin, lmg_vec3 direction, double limit)
+{
+    const double o[3] = {origin.x, origin.y, origin.z};
+    const double d[3] = {direction.x, direction.y, direction.z};
+    const double lower[3] = {model->bounds_min.x, model->bounds_min.y, model->bounds_min.z};
+    const double upper[3] = {model->bounds_max.x, model->bounds_max.y, model->bounds_max.z};
+    double near = 0, far = limit;
+    for (int i = 0; i < 3; i++) {
+        double slack = 4 * (double)FLT_EPSILON * (fabs(lower[i]) + fabs(upper[i]) + (upper[i] - lower[i]));
+        double a = lower[i] - slack - o[i], b = upper[i] + slack - o[i];
+        if (d[i] == 0) {
+            if (a > 0 || b < 0) {
+                return false;
+            }
+            continue;
+        }
+        double t0 = a / d[i], t1 = b / d[i];
+        near = fmax(near, fmin(t0, t1));
+        far = fmin(far, fmax(t0, t1));
+    }
+    return near <= far;
+}
+
+bool view_scene_intersect(const view_scene *scene, lmg_vec3 origin, lmg_vec3 direction, view_hit *out)
+{
+    double nearest = (double)INFINITY;
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        const view_object *object = &scene->objects[i];
+        if (!object->scene) {
+            continue;
+        }
+        lmg_vec3 o = view_point_in(&object->motion, origin);
+        lmg_vec3 d = view_direction_in(&object->motion, direction);
+        lum_hit hit;
+        if (i > 0 && !meets_bounds(object->model, o, d, nearest)) {
+            continue;
+        }
+        if (lum_scene_intersect(object->scene, o, d, &hit) && hit.t < nearest) {
+            nearest = hit.t;
+            out->hit = hit;
+            out->object = i;
+        }
+    }
+    if (nearest == (double)INFINITY) {
+        return false;
+    }
+    const view_motion *motion = &scene->objects[out->object].motion;
+    out->position = view_point_out(motion, out->hit.position);
+    out->ng = view_direction_out(motion, out->hit.ng);
+    return true;
+}
+
+/* Surfaces that a straight ray may pass by chance (alpha coverage) before it is given up as stopped: guards against loops of rounding. */
+enum { MAX_PASSES = 1000 };
+
+static bool occluded_by(const view_object *object, lmg_vec3 o, lmg_vec3 d, double distance, double (*next)(void *state), void *state)
+{
+    if (!object->has_alpha) {
+        return lum_scene_occluded(object->scene, o, d, distance);
+    }
+    for (int pass = 0; pass < MAX_PASSES; pass++) {
+        lum_hit hit;
+        if (!lum_scene_intersect(object->scene, o, d, &hit) || hit.t >= distance) {
+            return false;
+        }
+        const lum_material *material = &object->model->materials[object->model->triangle_material[hit.triangle]];
+        if (material->alpha_mode == LUM_ALPHA_OPAQUE) {
+            return true;
+        }
+        lum_surface surface;
+        lum_surface_at(object->scene, &hit, d, &surface);
+        if (surface.coverage >= 1 || next(state) < (double)surface.coverage) {
+            return true;
+        }
+        lmg_vec3 from = lum_offset(&hit, d);
+        distance -= view_dot(view_sub(from, o), d);
+        o = from;
+    }
+    return true;
+}
+
+bool view_scene_occluded(const view_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance, double (*next)(void *state),
+                         void *state)
+{
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        const view_object *object = &scene->objects[i];
+        if (!object->scene) {
+            continue;
+        }
+        lmg_vec3 o = view_point_in(&object->motion, origin);
+        lmg_vec3 d = view_direction_in(&object->motion, direction);
+        if (i > 0 && !meets_bounds(object->model, o, d, distance)) {
+            continue;
+        }
+        if (occluded_by(object, o, d, distance, next, state)) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static bool inside_bounds(const lmg_layout *layout, lmg_vec3 own)
+{
+    return own.x >= layout->bounds_min.x && own.x <= layout->bounds_max.x && own.y >= layout->bounds_min.y &&
+           own.y <= layout->bounds_max.y && own.z >= layout->bounds_min.z && own.z <= layout->bounds_max.z;
+}
+
+bool view_box_inside(const view_box *box, lmg_vec3 p)
+{
+    return inside_bounds(lmg_field_layout(box->field), view_point_in(&box->motion, p));
+}
+
+bool view_box_enter(const view_scene *scene, uint32_t b, lmg_vec3 origin, lmg_vec3 direction, double *t)
+{
+    const view_box *box = &scene->boxes[b];
+    lmg_vec3 own = view_point_in(&box->motion, origin);
+    return !inside_bounds(lmg_field_layout(box->field), own) &&
+           lmg_field_enter(box->field, own, view_direction_in(&box->motion, direction), t);
+}
+
+bool view_scene_bounds(const view_scene *scene, lmg_vec3 *lower, lmg_vec3 *upper)
+{
+    const lum_model *model = scene->objects[0].model;
+    *lower = model->bounds_min;
+    *upper = model->bounds_max;
+    return model->triangle_count > 0;
+}
