@@ -31,9 +31,12 @@ static void print_help(void)
 static int read_options(int argc, char **argv, settings *s)
 {
     enum { PNG = 256, SCALE, BLOCK, LIMIT, JSON };
-    static const struct option OPTIONS[] = {{"png", required_argument, NULL, PNG},     {"scale", required_argument, NULL, SCALE},
-                                            {"block", required_argument, NULL, BLOCK}, {"limit", required_argument, NULL, LIMIT},
-                                            {"json", no_argument, NULL, JSON},         {"help", no_argument, NULL, 'h'},
+    static const struct option OPTIONS[] = {{"png", required_argument, NULL, PNG},
+                                            {"scale", required_argument, NULL, SCALE},
+                                            {"block", required_argument, NULL, BLOCK},
+                                            {"limit", required_argument, NULL, LIMIT},
+                                            {"json", no_argument, NULL, JSON},
+                                            {"help", no_argument, NULL, 'h'},
                                             {NULL, 0, NULL, 0}};
     *s = (settings){.block = 1, .scale = 0.1};
     opterr = 0;

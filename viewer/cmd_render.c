@@ -23,8 +23,8 @@ typedef struct placed {
     bool lamp;
     char path[PATH_SIZE];
     view_placement placement;
-    double flux;         /* lm, 0 = as it is */
-    const char *recipe;  /* lamps; NULL = the one beside the model if there is one */
+    double flux;        /* lm, 0 = as it is */
+    const char *recipe; /* lamps; NULL = the one beside the model if there is one */
 } placed;
 
 typedef struct settings {
@@ -54,32 +54,55 @@ static void on_interrupt(int number)
 
 static void print_help(void)
 {
-    puts("lumiview render ROOM.gltf [what lights it] -o room.exr --png room.png\n"
-         "  --light BOX@X,Y,Z[,R]      a baked box, its origin at X,Y,Z (metres, room's frame); R: one angle about y, or RX,RY,RZ,\n"
-         "                             degrees about x, then y, then z.  May be given several times.  A box is light alone: it hides\n"
-         "                             nothing, and points inside its bounds get none of its light\n"
-         "  --lamp LAMP.gltf@X,Y,Z[,R] a lamp by its geometry, path traced: slow, the reference.  Lights in ROOM.gltf shine as well\n"
-         "  --recipe FILE              lamp recipe for the last --lamp (default: LAMP.recipe.json beside it, if there is one)\n"
-         "  --flux LM                  lumens that the sources of the last --light or --lamp emit (default: as baked or modelled)\n"
-         "  -o FILE.exr                R,G,B in cd/m2 and stderr.Y, the standard error of the luminance\n"
-         "  --png FILE.png             tone-mapped, sRGB\n"
-         "  --spp N                    samples per pixel (default 64, or as many as --time allows)\n"
-         "  --time T                   stop before T is over: 60s, 5min, 1h\n"
-         "  --size WxH                 pixels (default 960x540)\n"
-         "  --camera NAME              a camera of the room (default: its first; if it has none, a view of the whole)\n"
-         "  --eye X,Y,Z --target X,Y,Z [--fov DEGREES]   a camera of your own (vertical angle, default 50)\n"
-         "  --exposure E               luminance shown as 18 % grey: auto (default), an EV at ISO 100, 120cd/m2, or as in OTHER.exr\n"
-         "  --seed N, --threads N      default 1, all cores; the number of threads doesn't change the picture\n"
-         "  --max-depth N              follow light for N scatterings at most (default: without end, by Russian roulette)\n"
-         "  --json, --quiet, -v        result as JSON; no messages; more messages\n"
-         "Example: lumiview render room.gltf --light spot.box.exr@0,2.4,0 --time 60s -o room.exr --png room.png");
+    puts(
+        "lumiview render ROOM.gltf [what lights it] -o room.exr --png room.png\n"
+        "  --light BOX@X,Y,Z[,R]      a baked box, its origin at X,Y,Z (metres, room's frame); R: one angle about y, or RX,RY,RZ,\n"
+        "                             degrees about x, then y, then z.  May be given several times.  A box is light alone: it "
+        "hides\n"
+        "                             nothing, and points inside its bounds get none of its light\n"
+        "  --lamp LAMP.gltf@X,Y,Z[,R] a lamp by its geometry, path traced: slow, the reference.  Lights in ROOM.gltf shine as "
+        "well\n"
+        "  --recipe FILE              lamp recipe for the last --lamp (default: LAMP.recipe.json beside it, if there is one)\n"
+        "  --flux LM                  lumens that the sources of the last --light or --lamp emit (default: as baked or modelled)\n"
+        "  -o FILE.exr                R,G,B in cd/m2 and stderr.Y, the standard error of the luminance\n"
+        "  --png FILE.png             tone-mapped, sRGB\n"
+        "  --spp N                    samples per pixel (default 64, or as many as --time allows)\n"
+        "  --time T                   stop before T is over: 60s, 5min, 1h\n"
+        "  --size WxH                 pixels (default 960x540)\n"
+        "  --camera NAME              a camera of the room (default: its first; if it has none, a view of the whole)\n"
+        "  --eye X,Y,Z --target X,Y,Z [--fov DEGREES]   a camera of your own (vertical angle, default 50)\n"
+        "  --exposure E               luminance shown as 18 % grey: auto (default), an EV at ISO 100, 120cd/m2, or as in "
+        "OTHER.exr\n"
+        "  --seed N, --threads N      default 1, all cores; the number of threads doesn't change the picture\n"
+        "  --max-depth N              follow light for N scatterings at most (default: without end, by Russian roulette)\n"
+        "  --json, --quiet, -v        result as JSON; no messages; more messages\n"
+        "Example: lumiview render room.gltf --light spot.box.exr@0,2.4,0 --time 60s -o room.exr --png room.png");
 }
 
 /* ------------------------------------------------------------------------------------------------------------- options */
 
 static int read_options(int argc, char **argv, settings *s)
 {
-    enum { LIGHT = 256, LAMP, RECIPE, FLUX, PNG, SPP, TIME, SIZE, CAMERA, EYE, TARGET, FOV, EXPOSURE, SEED, THREADS, DEPTH, JSON, QUIET };
+    enum {
+        LIGHT = 256,
+        LAMP,
+        RECIPE,
+        FLUX,
+        PNG,
+        SPP,
+        TIME,
+        SIZE,
+        CAMERA,
+        EYE,
+        TARGET,
+        FOV,
+        EXPOSURE,
+        SEED,
+        THREADS,
+        DEPTH,
+        JSON,
+        QUIET
+    };
     static const struct option OPTIONS[] = {{"light", required_argument, NULL, LIGHT},
                                             {"lamp", required_argument, NULL, LAMP},
                                             {"recipe", required_argument, NULL, RECIPE},
@@ -271,7 +294,8 @@ static lmg_result load(const settings *s, view_scene **out, lmg_error *err)
     }
     for (size_t i = 0; i < s->thing_count && r == LMG_OK; i++) {
         const placed *thing = &s->things[i];
-        r = thing->lamp ? add_lamp(*out, thing, s, err) : view_scene_add_box(*out, thing->path, &thing->placement, thing->flux, err);
+        r = thing->lamp ? add_lamp(*out, thing, s, err)
+                        : view_scene_add_box(*out, thing->path, &thing->placement, thing->flux, err);
     }
     return r == LMG_OK ? view_scene_finish(*out, err) : r;
 }
@@ -323,8 +347,8 @@ static lmg_result read_exposure(const char *text, double *mid_grey, lmg_error *e
         view_image_free(&image);
         return LMG_OK;
     }
-    return lmg_fail(err, LMG_ERROR_ARGUMENT, "--exposure %s: should be auto, an EV such as 8.5, a luminance such as 120cd/m2, or a picture .exr",
-                    text);
+    return lmg_fail(err, LMG_ERROR_ARGUMENT,
+                    "--exposure %s: should be auto, an EV such as 8.5, a luminance such as 120cd/m2, or a picture .exr", text);
 }
 
 /* ------------------------------------------------------------------------------------------------------------ rendering */
@@ -391,7 +415,8 @@ static char *command_line(int argc, char **argv)
     }
     end += sprintf(end, "lumiview");
     for (int i = 0; i < argc; i++) {
-        bool plain = argv[i][0] && strspn(argv[i], "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789@%+=:,./_-") == strlen(argv[i]);
+        bool plain = argv[i][0] &&
+                     strspn(argv[i], "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789@%+=:,./_-") == strlen(argv[i]);
         *end++ = ' ';
         if (plain) {
             end += sprintf(end, "%s", argv[i]);
@@ -415,11 +440,11 @@ static void print_result(const settings *s, const view_render_state *state, doub
 {
     double rate = (double)state->rays / fmax(state->seconds, 1e-9);
     if (s->json) {
-        json_t *o = json_pack("{s:i, s:s, s:i, s:i, s:i, s:f, s:I, s:f, s:I, s:f, s:f, s:f, s:I}", "version", 1, "command", "render",
-                              "width", (int)s->width, "height", (int)s->height, "samples_per_pixel", (int)state->samples_min, "seconds",
-                              state->seconds, "rays", (json_int_t)state->rays, "rays_per_second", rate, "refused",
-                              (json_int_t)state->refused, "mean_luminance_cd_m2", state->mean, "mid_grey_cd_m2", mid_grey,
-                              "exposure_value", view_exposure_to_ev(mid_grey), "seed", (json_int_t)s->seed);
+        json_t *o = json_pack(
+            "{s:i, s:s, s:i, s:i, s:i, s:f, s:I, s:f, s:I, s:f, s:f, s:f, s:I}", "version", 1, "command", "render", "width",
+            (int)s->width, "height", (int)s->height, "samples_per_pixel", (int)state->samples_min, "seconds", state->seconds,
+            "rays", (json_int_t)state->rays, "rays_per_second", rate, "refused", (json_int_t)state->refused, "mean_luminance_cd_m2",
+            state->mean, "mid_grey_cd_m2", mid_grey, "exposure_value", view_exposure_to_ev(mid_grey), "seed", (json_int_t)s->seed);
         if (o) {
             json_object_set_new(o, "noise", isfinite(state->noise) ? json_real(state->noise) : json_null());
             json_object_set_new(o, "exr", s->exr ? json_string(s->exr) : json_null());
@@ -477,11 +502,8 @@ static lmg_result write_files(const settings *s, const view_render *render, cons
         *mid_grey = view_exposure_auto(&image);
     }
     if (s->exr) {
-        view_image_notes notes = {.samples = state->samples_min,
-                                  .seconds = state->seconds,
-                                  .seed = s->seed,
-                                  .mid_grey = *mid_grey,
-                                  .command = command};
+        view_image_notes notes = {
+            .samples = state->samples_min, .seconds = state->seconds, .seed = s->seed, .mid_grey = *mid_grey, .command = command};
         r = view_write_exr(&image, &notes, s->exr, err);
     }
     if (r == LMG_OK && s->png) {

@@ -39,12 +39,14 @@ static double image_mean(const view_image *image)
     return sum / (double)pixels;
 }
 
-lmg_result view_image_diff(const view_image *a, const view_image *b, const view_diff_options *options, view_diff *out, lmg_error *err)
+lmg_result view_image_diff(const view_image *a, const view_image *b, const view_diff_options *options, view_diff *out,
+                           lmg_error *err)
 {
     *out = (view_diff){0};
     if (a->width != b->width || a->height != b->height) {
-        return lmg_fail(err, LMG_ERROR_INPUT, "the pictures have different sizes, %u x %u and %u x %u pixels; render both with one --size",
-                        a->width, a->height, b->width, b->height);
+        return lmg_fail(err, LMG_ERROR_INPUT,
+                        "the pictures have different sizes, %u x %u and %u x %u pixels; render both with one --size", a->width,
+                        a->height, b->width, b->height);
     }
     uint32_t block = options->block ? options->block : 1;
     size_t count = (size_t)((a->width + block - 1) / block) * ((a->height + block - 1) / block);
@@ -77,8 +79,9 @@ lmg_result view_image_diff(const view_image *a, const view_image *b, const view_
     }
     if (!used || !(sum_b > 0)) {
         free(relative);
-        return lmg_fail(err, LMG_ERROR_INPUT, used ? "the second picture is black: nothing to compare with"
-                                                   : "every block is brighter than --limit: nothing is left to compare");
+        return lmg_fail(err, LMG_ERROR_INPUT,
+                        used ? "the second picture is black: nothing to compare with"
+                             : "every block is brighter than --limit: nothing is left to compare");
     }
     double n = (double)used;
     out->blocks = used;

@@ -71,8 +71,7 @@ static exr_result_t write_header(exr_context_t file, const view_image *image, co
     char seed[24];
     snprintf(seed, sizeof seed, "%" PRIu64, notes->seed);
     exr_result_t r = exr_add_part(file, "picture", EXR_STORAGE_SCANLINE, &part);
-    r = r ? r
-          : exr_initialize_required_attr_simple(file, part, (int32_t)image->width, (int32_t)image->height, EXR_COMPRESSION_ZIP);
+    r = r ? r : exr_initialize_required_attr_simple(file, part, (int32_t)image->width, (int32_t)image->height, EXR_COMPRESSION_ZIP);
     for (int c = 0; c < 4 && !r; c++) {
         r = exr_add_channel(file, part, CHANNELS[c], EXR_PIXEL_FLOAT, EXR_PERCEPTUALLY_LINEAR, 1, 1);
     }
@@ -245,7 +244,8 @@ lmg_result view_read_exr(const char *path, view_image *out, view_image_notes *no
     r = r ? r : exr_get_storage(file, 0, &storage);
     r = r ? r : exr_get_data_window(file, 0, &window);
     if (r || parts != 1 || storage != EXR_STORAGE_SCANLINE) {
-        result = lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: isn't a picture of one part in scan lines, as lumiview render writes it", path);
+        result = lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: isn't a picture of one part in scan lines, as lumiview render writes it",
+                          path);
         goto cleanup;
     }
     int64_t width = (int64_t)window.max.x - window.min.x + 1, height = (int64_t)window.max.y - window.min.y + 1;

@@ -18,9 +18,9 @@ int say_usage(const char *command, const char *format, ...) __attribute__((forma
 int say_result(lmg_result result, const lmg_error *err);
 
 /* Option values.  False when the text isn't one. */
-bool read_count(const char *text, uint64_t maximum, uint64_t *out);           /* a whole number, also as 1e6 */
-bool read_positive(const char *text, const char *unit, double *out);          /* a number > 0, the unit may follow */
-bool read_seconds(const char *text, double *out);                             /* 90, 90s, 1.5m, 1.5min, 2h */
+bool read_count(const char *text, uint64_t maximum, uint64_t *out);                    /* a whole number, also as 1e6 */
+bool read_positive(const char *text, const char *unit, double *out);                   /* a number > 0, the unit may follow */
+bool read_seconds(const char *text, double *out);                                      /* 90, 90s, 1.5m, 1.5min, 2h */
 bool read_size(const char *text, uint32_t maximum, uint32_t *width, uint32_t *height); /* 960x540 */
 
 #endif

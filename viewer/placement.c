@@ -72,7 +72,8 @@ lmg_result view_placement_parse(const char *text, view_placement *out, char *pat
 {
     const char *at = strrchr(text, '@');
     if (!at) {
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "\"%s\" doesn't say where it stands: write FILE@X,Y,Z[,RX,RY,RZ] (metres, degrees)", text);
+        return lmg_fail(err, LMG_ERROR_ARGUMENT,
+                        "\"%s\" doesn't say where it stands: write FILE@X,Y,Z[,RX,RY,RZ] (metres, degrees)", text);
     }
     size_t length = (size_t)(at - text);
     if (length == 0 || length >= path_size) {
@@ -81,8 +82,9 @@ lmg_result view_placement_parse(const char *text, view_placement *out, char *pat
     double v[6] = {0};
     int n = parse_list(at + 1, v, 6);
     if (n != 3 && n != 4 && n != 6) {
-        return lmg_fail(err, LMG_ERROR_ARGUMENT,
-                        "\"%s\": after '@' there should be X,Y,Z in metres, then nothing, one angle about y, or RX,RY,RZ in degrees", text);
+        return lmg_fail(
+            err, LMG_ERROR_ARGUMENT,
+            "\"%s\": after '@' there should be X,Y,Z in metres, then nothing, one angle about y, or RX,RY,RZ in degrees", text);
     }
     memcpy(path, text, length);
     path[length] = '\0';

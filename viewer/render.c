@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Threads, pixels and their statistics.  Tiles are handed out by an atomic counter; no two threads touch the same pixel in a pass. */
+/* Threads, pixels and their statistics.  Tiles are handed out by an atomic counter; no two threads touch the same pixel in a pass.
+ */
 #include "render.h"
 
 #include <pthread.h>
@@ -16,7 +17,8 @@ lmg_result view_image_create(uint32_t width, uint32_t height, view_image *out, l
 {
     *out = (view_image){.width = width, .height = height};
     if (width < 1 || height < 1 || width > VIEW_MAX_SIDE || height > VIEW_MAX_SIDE) {
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "a picture of %u x %u pixels: each side should be 1 to %d", width, height, VIEW_MAX_SIDE);
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "a picture of %u x %u pixels: each side should be 1 to %d", width, height,
+                        VIEW_MAX_SIDE);
     }
     size_t pixels = (size_t)width * height;
     out->rgb = calloc(pixels * 3, sizeof *out->rgb);
@@ -56,8 +58,8 @@ struct view_render {
     uint32_t samples;
 };
 
-lmg_result view_render_create(const view_scene *scene, const view_camera *camera, const view_render_options *options, view_render **out,
-                              lmg_error *err)
+lmg_result view_render_create(const view_scene *scene, const view_camera *camera, const view_render_options *options,
+                              view_render **out, lmg_error *err)
 {
     *out = NULL;
     if (options->width < 1 || options->height < 1 || options->width > VIEW_MAX_SIDE || options->height > VIEW_MAX_SIDE) {
@@ -202,7 +204,8 @@ static double pixel_variance(const view_pixel *p)
 
 view_render_state view_render_look(const view_render *render)
 {
-    view_render_state state = {.samples_min = UINT32_MAX, .rays = render->rays, .refused = render->refused, .seconds = render->seconds};
+    view_render_state state = {
+        .samples_min = UINT32_MAX, .rays = render->rays, .refused = render->refused, .seconds = render->seconds};
     size_t count = (size_t)render->options.width * render->options.height;
     double variance = 0, mean = 0;
     for (size_t i = 0; i < count; i++) {

@@ -2,8 +2,8 @@
 /*
  * Renders a scene: paths for all pixels on all cores, the mean radiance of every pixel and its standard error.
  *
- * The random numbers of sample k of pixel n depend on (seed, n, k) alone and a pixel's samples are added in order, so a picture of N samples
- * per pixel is the same bits on any number of threads and however many passes it was made in.
+ * The random numbers of sample k of pixel n depend on (seed, n, k) alone and a pixel's samples are added in order, so a picture of
+ * N samples per pixel is the same bits on any number of threads and however many passes it was made in.
  */
 #ifndef VIEWER_RENDER_H
 #define VIEWER_RENDER_H
@@ -30,17 +30,17 @@ typedef struct view_render view_render;
 typedef struct view_render_options {
     uint32_t width, height; /* 1..VIEW_MAX_SIDE */
     uint64_t seed;
-    unsigned threads;       /* 0 = all cores */
+    unsigned threads; /* 0 = all cores */
     view_path_options path;
 } view_render_options;
 
 /* scene and camera are borrowed until view_render_destroy. */
-lmg_result view_render_create(const view_scene *scene, const view_camera *camera, const view_render_options *options, view_render **out,
-                              lmg_error *err);
+lmg_result view_render_create(const view_scene *scene, const view_camera *camera, const view_render_options *options,
+                              view_render **out, lmg_error *err);
 void view_render_destroy(view_render *render);
 
-/* Adds samples paths to every pixel.  When *stop becomes non-zero, the pass ends early (pixels then differ in their numbers of samples;
- * each stays a valid mean).  stop may be NULL. */
+/* Adds samples paths to every pixel.  When *stop becomes non-zero, the pass ends early (pixels then differ in their numbers of
+ * samples; each stays a valid mean).  stop may be NULL. */
 lmg_result view_render_pass(view_render *render, uint32_t samples, const atomic_int *stop, lmg_error *err);
 
 typedef struct view_render_state {
@@ -48,8 +48,8 @@ typedef struct view_render_state {
     uint64_t rays;                     /* closest-hit and shadow rays traced */
     uint64_t refused;                  /* paths whose estimate wasn't finite, counted as zero; 0 in a sound scene */
     double seconds;                    /* wall clock spent in passes */
-    double noise;                      /* root of the mean squared standard error over the mean, luminance; NAN before the second sample */
-    double mean;                       /* mean luminance, cd/m2 */
+    double noise; /* root of the mean squared standard error over the mean, luminance; NAN before the second sample */
+    double mean;  /* mean luminance, cd/m2 */
 } view_render_state;
 view_render_state view_render_look(const view_render *render);
 

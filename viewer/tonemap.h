@@ -2,16 +2,15 @@
 /*
  * From luminance to a screen.
  *
- * Exposure: one luminance of the scene, "mid-grey", is shown as 18 % of the screen's white.  Automatic: the geometric mean of the luminance
- * over the picture (pixels that got no light left out), as Reinhard et al. 2002 do; or an exposure value at ISO 100, EV = log2(L / 0.125 cd/m2)
- * (reflected-light meter constant K = 12.5); or cd/m2.
+ * Exposure: one luminance of the scene, "mid-grey", is shown as 18 % of the screen's white.  Automatic: the geometric mean of the
+ * luminance over the picture (pixels that got no light left out), as Reinhard et al. 2002 do; or an exposure value at ISO 100, EV =
+ * log2(L / 0.125 cd/m2) (reflected-light meter constant K = 12.5); or cd/m2.
  *
  * Tone curve, on luminance x in units of screen white: y = x up to KNEE = 0.4 (there the picture is proportional to luminance),
- * above it y = KNEE + (1 - KNEE) z (1 + z / w^2) / (1 + z), z = (x - KNEE) / (1 - KNEE): joins with equal slope and reaches white, 1, at z = w
- * = 32, that is 19.6 times the luminance that would be white without the curve, 109 times mid-grey.
- * R,G,B are scaled alike, so hues stay; a colour outside what the screen can show at that luminance is mixed with grey of the same
- * luminance just as far as needed.
- * Then the sRGB transfer function (IEC 61966-2-1) and 8 bits, with half a step of fixed noise against banding.
+ * above it y = KNEE + (1 - KNEE) z (1 + z / w^2) / (1 + z), z = (x - KNEE) / (1 - KNEE): joins with equal slope and reaches white,
+ * 1, at z = w = 32, that is 19.6 times the luminance that would be white without the curve, 109 times mid-grey. R,G,B are scaled
+ * alike, so hues stay; a colour outside what the screen can show at that luminance is mixed with grey of the same luminance just as
+ * far as needed. Then the sRGB transfer function (IEC 61966-2-1) and 8 bits, with half a step of fixed noise against banding.
  */
 #ifndef VIEWER_TONEMAP_H
 #define VIEWER_TONEMAP_H

@@ -12,7 +12,8 @@ lmg_result view_camera_set(view_camera *camera, lmg_vec3 eye, lmg_vec3 forward, 
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "camera: eye and target are the same point");
     }
     if (!(yfov > 0 && yfov < VIEW_PI)) {
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "camera: a vertical angle of %g degrees is outside (0, 180)", yfov * 180 / VIEW_PI);
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "camera: a vertical angle of %g degrees is outside (0, 180)",
+                        yfov * 180 / VIEW_PI);
     }
     camera->eye = eye;
     camera->forward = view_scale(forward, 1 / length);
@@ -43,8 +44,8 @@ lmg_result view_camera_from_room(const view_scene *scene, const char *name, view
         snprintf(names + used, sizeof names - used, "%s\"%.60s\"", i ? ", " : "", c->name);
     }
     if (!model->camera_count) {
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "%s: the room has no camera; use --eye and --target, or neither for a view of the whole",
-                        model->path);
+        return lmg_fail(err, LMG_ERROR_ARGUMENT,
+                        "%s: the room has no camera; use --eye and --target, or neither for a view of the whole", model->path);
     }
     return lmg_fail(err, LMG_ERROR_ARGUMENT, "%s: no camera is called \"%s\"; there are %s", model->path, name ? name : "", names);
 }
@@ -79,7 +80,8 @@ lmg_result view_camera_frame(const view_scene *scene, double aspect, view_camera
         int best = 0;
         double best_distance = -1;
         for (int i = 0; i < 4; i++) {
-            lmg_vec3 eye = {middle.x + 0.88 * CORNER[i][0] * half.x, middle.y + 0.15 * half.y, middle.z + 0.88 * CORNER[i][1] * half.z};
+            lmg_vec3 eye = {middle.x + 0.88 * CORNER[i][0] * half.x, middle.y + 0.15 * half.y,
+                            middle.z + 0.88 * CORNER[i][1] * half.z};
             lmg_vec3 to = view_unit(view_sub((lmg_vec3){middle.x, eye.y, middle.z}, eye));
             view_hit hit;
             double free_distance = view_scene_intersect(scene, eye, to, &hit) ? hit.hit.t : 0;
@@ -88,8 +90,10 @@ lmg_result view_camera_frame(const view_scene *scene, double aspect, view_camera
                 best = i;
             }
         }
-        lmg_vec3 eye = {middle.x + 0.88 * CORNER[best][0] * half.x, middle.y + 0.15 * half.y, middle.z + 0.88 * CORNER[best][1] * half.z};
-        lmg_vec3 target = {middle.x - 0.3 * CORNER[best][0] * half.x, middle.y - 0.15 * half.y, middle.z - 0.3 * CORNER[best][1] * half.z};
+        lmg_vec3 eye = {middle.x + 0.88 * CORNER[best][0] * half.x, middle.y + 0.15 * half.y,
+                        middle.z + 0.88 * CORNER[best][1] * half.z};
+        lmg_vec3 target = {middle.x - 0.3 * CORNER[best][0] * half.x, middle.y - 0.15 * half.y,
+                           middle.z - 0.3 * CORNER[best][1] * half.z};
         return view_camera_set(camera, eye, view_sub(target, eye), y_up, 60 * VIEW_PI / 180, err);
     }
     double radius = fmax(view_length(half), 1e-3), yfov = 40 * VIEW_PI / 180;

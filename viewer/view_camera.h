@@ -6,9 +6,9 @@
 #include "view_scene.h"
 
 typedef struct view_camera {
-    lmg_vec3 eye;                  /* world */
-    lmg_vec3 forward, right, up;   /* unit, orthogonal */
-    double half_height;            /* tangent of half the vertical angle */
+    lmg_vec3 eye;                /* world */
+    lmg_vec3 forward, right, up; /* unit, orthogonal */
+    double half_height;          /* tangent of half the vertical angle */
 } view_camera;
 
 /* Looks from eye (world) along forward; yfov in radians, in (0, pi).  up only chooses the roll. */
@@ -18,8 +18,8 @@ lmg_result view_camera_set(view_camera *camera, lmg_vec3 eye, lmg_vec3 forward, 
 lmg_result view_camera_from_room(const view_scene *scene, const char *name, view_camera *camera, lmg_error *err);
 
 /*
- * A view of a room without a camera: from near a corner inside, if most lines of sight from its middle end on a surface (a room), else
- * from outside, so that everything is in the picture (an object).  aspect: width / height.
+ * A view of a room without a camera: from near a corner inside, if most lines of sight from its middle end on a surface (a room),
+ * else from outside, so that everything is in the picture (an object).  aspect: width / height.
  */
 lmg_result view_camera_frame(const view_scene *scene, double aspect, view_camera *camera, lmg_error *err);
 

@@ -9,7 +9,8 @@ enum { MAX_MEDIA = 8 };
 
 /* From this many scatterings on, Russian roulette may end a path, with a probability that depends on what it still carries. */
 enum { ROULETTE_FROM = 4 };
-/* From here on even a path that loses nothing ends at last (light guides need hundreds of bounces; a closed mirror room has no end). */
+/* From here on even a path that loses nothing ends at last (light guides need hundreds of bounces; a closed mirror room has no
+ * end). */
 enum { ENDLESS_FROM = 512 };
 #define ENDLESS_SURVIVAL 0.99
 
@@ -72,18 +73,30 @@ typedef struct vertex {
     lmg_vec3 v;         /* towards where the path came from, in the model's frame */
     double eta_outside; /* index on the front side */
     bool front;         /* the path came from the front side */
+    bool smoothed;      /* surface.ng is the shading normal: room only */
 } vertex;
 
 static bool solid_boundary(const lum_material *material)
 {
-    return material->kind == LUM_SURFACE_PBR && !material->thin && (material->transmission > 0 || material->diffuse_transmission > 0);
+    return material->kind == LUM_SURFACE_PBR && !material->thin &&
+           (material->transmission > 0 || material->diffuse_transmission > 0);
 }
 
-/* The light that comes from w (model frame) and goes on towards v, per unit of radiance and steradian of w: p, times the cosine ratio of
- * the adjoint where that applies. */
+/* Whether w is on the same side of the true surface and of the one that shades. */
+static bool same_side(const vertex *x, lmg_vec3 w)
+{
+    return !x->smoothed || view_dot(x->hit.hit.ng, w) * view_dot(x->surface.ng, w) > 0;
+}
+
+/* The light that comes from w (model frame) and goes on towards v, per unit of radiance and steradian of w: p, times the cosine
+ * ratio of the adjoint where that applies. */
 static void reflect_towards_eye(const vertex *x, lmg_vec3 w, float f[3])
 {
     if (!x->object->lamp) {
+        if (!same_side(x, w)) {
+            f[0] = f[1] = f[2] = 0;
+            return;
+        }
         lum_scatter_eval(&x->surface, x->v, w, (float)x->eta_outside, f);
         return;
     }
@@ -98,10 +111,10 @@ static void reflect_towards_eye(const vertex *x, lmg_vec3 w, float f[3])
 }
 
 /*
- * Turns the weight of a scattering sampled as if the path were a photon into that of radiance travelling backwards (lamps only): the
- * photon's density the other way over its density this way, times the adjoint's ratio of cosines.  With flat shading that is 1 by
- * reciprocity, and (n_v / n_w)^2 across a boundary.  False when no light can come that way.
- * *eta_scale: accumulated change of radiance by refraction, which roulette must not mistake for loss.
+ * Turns the weight of a scattering sampled as if the path were a photon into that of radiance travelling backwards (lamps only):
+ * the photon's density the other way over its density this way, times the adjoint's ratio of cosines.  With flat shading that is 1
+ * by reciprocity, and (n_v / n_w)^2 across a boundary.  False when no light can come that way. *eta_scale: accumulated change of
+ * radiance by refraction, which roulette must not mistake for loss.
  */
 static bool adjoint_weight(const vertex *x, lum_scattered *s, double *eta_scale)
 {
@@ -119,8 +132,8 @@ static bool adjoint_weight(const vertex *x, lum_scattered *s, double *eta_scale)
             return false;
         }
         if (s->event & LUM_DELTA) {
-            /* A delta lobe maps solid angles by dwi/dwo = (n_o^2 cos_s o) / (n_i^2 cos_s i), cos_s against the shading normal; mirrors and
-             * thin walls keep cos_s. */
+            /* A delta lobe maps solid angles by dwi/dwo = (n_o^2 cos_s o) / (n_i^2 cos_s i), cos_s against the shading normal;
+             * mirrors and thin walls keep cos_s. */
             factor *= cos_w / cos_v;
             if (s->event & LUM_BOUNDARY) {
                 double shade_v = fabs(view_dot(ns, x->v)), shade_w = fabs(view_dot(ns, s->wo));
@@ -253,7 +266,8 @@ static double scattering_weight(const view_path_options *options, const departur
 }
 
 /* The probability with which this light was chosen where the ray began. */
-static double light_share(const view_scene *scene, const view_worker *worker, const departure *from, view_light_kind kind, uint32_t index)
+static double light_share(const view_scene *scene, const view_worker *worker, const departure *from, view_light_kind kind,
+                          uint32_t index)
 {
     for (uint32_t i = 0; i < scene->light_count && from->total > 0; i++) {
         if (scene->lights[i].kind == kind && scene->lights[i].index == index) {
@@ -328,8 +342,8 @@ static void scatter(const vertex *x, lum_rng *rng, lum_polarization *polarizatio
 
 /* Follows the straight ray from origin in direction d to the next surface that meets it, passing those that by chance don't.
  * *distance is counted from p, just behind which origin lies.  False when nothing is met; *distance is infinite then. */
-static bool next_vertex(const view_scene *scene, lmg_vec3 p, lmg_vec3 origin, lmg_vec3 d, lum_rng *rng, view_worker *worker, vertex *x,
-                        double *distance)
+static bool next_vertex(const view_scene *scene, lmg_vec3 p, lmg_vec3 origin, lmg_vec3 d, lum_rng *rng, view_worker *worker,
+                        vertex *x, double *distance)
 {
     for (int pass = 0; pass < MAX_PASSES; pass++) {
         worker->rays++;
@@ -341,7 +355,13 @@ static bool next_vertex(const view_scene *scene, lmg_vec3 p, lmg_vec3 origin, lm
         lum_surface_at(x->object->scene, &x->hit.hit, own_d, &x->surface);
         if (x->surface.coverage >= 1 || lum_rng_next(rng) < (double)x->surface.coverage) {
             x->v = view_minus(own_d);
-            x->front = view_dot(x->hit.hit.ng, x->v) >= 0;
+            double side = view_dot(x->hit.hit.ng, x->v);
+            x->front = side >= 0;
+            x->smoothed = !x->object->lamp && x->surface.tilted && side * view_dot(x->surface.ns, x->v) > 0;
+            if (x->smoothed) {
+                x->surface.ng = x->surface.ns;
+                x->surface.tilted = false;
+            }
             *distance = view_dot(view_sub(x->hit.position, p), d);
             return true;
         }
@@ -351,8 +371,8 @@ static bool next_vertex(const view_scene *scene, lmg_vec3 p, lmg_vec3 origin, lm
     return false;
 }
 
-void view_path_radiance(const view_scene *scene, const view_path_options *options, lmg_vec3 origin, lmg_vec3 direction, lum_rng *rng,
-                        view_worker *worker, double rgb[3])
+void view_path_radiance(const view_scene *scene, const view_path_options *options, lmg_vec3 origin, lmg_vec3 direction,
+                        lum_rng *rng, view_worker *worker, double rgb[3])
 {
     double sum[3] = {0, 0, 0}, beta[3] = {1, 1, 1};
     double eta_scale = 1;
@@ -391,7 +411,7 @@ void view_path_radiance(const view_scene *scene, const view_path_options *option
 
         lum_scattered scattered;
         scatter(&x, rng, &polarization, &scattered);
-        if (!(scattered.event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
+        if (!(scattered.event & (LUM_REFLECTED | LUM_TRANSMITTED)) || !same_side(&x, scattered.wo)) {
             break;
         }
         /* Before the weight: the density is that of the photon's way. */

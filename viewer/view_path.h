@@ -2,20 +2,20 @@
 /*
  * One light path, followed from the eye: the estimate of the radiance that arrives along a ray.
  *
- * At every surface the direct light is estimated in two ways, by choosing a light and a direction to it, and by following the surface's
- * own scattering until it meets a light; both are combined by the power heuristic [Veach1997, section 9.2] with exact densities, light by
- * light, so that each light's share is an unbiased estimate whatever the weights.
+ * At every surface the direct light is estimated in two ways, by choosing a light and a direction to it, and by following the
+ * surface's own scattering until it meets a light; both are combined by the power heuristic [Veach1997, section 9.2] with exact
+ * densities, light by light, so that each light's share is an unbiased estimate whatever the weights.
  *
- * Scattering backwards.  On lamps the photon tracer's flux density p(wo|wi) is used as its exact adjoint (luminaires/scatter.h), so that a
- * lamp's geometry in the room and a bake of it agree also under interpolated normals.  On the room itself the path is scattered as a
- * photon would be, which for flat shading is the same thing and under interpolated normals gives the smooth pictures that the normals
- * are there for.
+ * Scattering backwards.  On lamps the photon tracer's flux density p(wo|wi) is used as its exact adjoint (luminaires/scatter.h), so
+ * that a lamp's geometry in the room and a bake of it agree also under interpolated normals.  On the room itself the shading normal
+ * takes the place of the geometric one (light that would pass the true surface is dropped): with flat shading that is the same
+ * thing, and under interpolated normals it gives the smooth pictures that those normals are there for.
  *
- * Polarization travels with the path (transport is reciprocal), so that panes and lenses transmit what they should; light that is met
- * by choosing a light directly is taken as unpolarized at that one surface.
+ * Polarization travels with the path (transport is reciprocal), so that panes and lenses transmit what they should; light that is
+ * met by choosing a light directly is taken as unpolarized at that one surface.
  *
- * Boxes: eye rays and rays after a mirror or clear glass see a box through the LINEAR filter (a picture of the luminaire); all other light
- * uses NEAREST, the very radiance that light sampling returns.
+ * Boxes: eye rays and rays after a mirror or clear glass see a box through the LINEAR filter (a picture of the luminaire); all
+ * other light uses NEAREST, the very radiance that light sampling returns.
  */
 #ifndef VIEWER_VIEW_PATH_H
 #define VIEWER_VIEW_PATH_H
@@ -34,13 +34,13 @@ typedef struct view_path_options {
 
 /* One thread's working memory and counters. */
 typedef struct view_worker {
-    double *weights; /* light_count numbers, from the caller */
-    uint64_t rays;   /* closest-hit rays and shadow rays traced */
-    uint64_t refused;/* estimates that weren't finite, counted as zero; 0 in a sound scene */
+    double *weights;  /* light_count numbers, from the caller */
+    uint64_t rays;    /* closest-hit rays and shadow rays traced */
+    uint64_t refused; /* estimates that weren't finite, counted as zero; 0 in a sound scene */
 } view_worker;
 
 /* Radiance (cd/m2, R,G,B) that reaches origin (world) from direction (unit, the way the ray looks). */
-void view_path_radiance(const view_scene *scene, const view_path_options *options, lmg_vec3 origin, lmg_vec3 direction, lum_rng *rng,
-                        view_worker *worker, double rgb[3]);
+void view_path_radiance(const view_scene *scene, const view_path_options *options, lmg_vec3 origin, lmg_vec3 direction,
+                        lum_rng *rng, view_worker *worker, double rgb[3]);
 
 #endif

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * The scene: loading, placing, and rays against everything.  Each model keeps its own Embree scene; a ray asks the room and then those
- * lamps whose bounds it meets before the nearest hit so far.
+ * The scene: loading, placing, and rays against everything.  Each model keeps its own Embree scene; a ray asks the room and then
+ * those lamps whose bounds it meets before the nearest hit so far.
  */
 #include "view_scene.h"
 
@@ -134,8 +134,8 @@ lmg_result view_scene_add_box(view_scene *scene, const char *path, const view_pl
     return r == LMG_OK ? add_box(scene, field, path, placement, flux, err) : r;
 }
 
-lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_recipe *recipe, const view_placement *placement, double flux,
-                               lmg_error *err)
+lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_recipe *recipe, const view_placement *placement,
+                               double flux, lmg_error *err)
 {
     view_object object;
     lmg_result r = object_load(path, recipe, &object, err);
@@ -145,7 +145,8 @@ lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_re
     if (!object.emitters) {
         object_release(&object);
         return lmg_fail(err, LMG_ERROR_INPUT,
-                        "%s: nothing in this lamp emits light; a recipe entry such as \"emitter:NAME=800lm\" says what shines", path);
+                        "%s: nothing in this lamp emits light; a recipe entry such as \"emitter:NAME=800lm\" says what shines",
+                        path);
     }
     view_object *grown = realloc(scene->objects, (scene->object_count + 1) * sizeof *grown);
     if (!grown) {
@@ -160,7 +161,8 @@ lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_re
     }
     view_placement_motion(placement, &object.motion);
     /* The model's coordinates are relative to its centre, the placement is of its file's origin. */
-    object.motion.t = view_add(view_direction_out(&object.motion, object.model->centre), view_sub(placement->position, scene->origin));
+    object.motion.t =
+        view_add(view_direction_out(&object.motion, object.model->centre), view_sub(placement->position, scene->origin));
     grown[scene->object_count++] = object;
     return LMG_OK;
 }
@@ -217,7 +219,8 @@ lmg_result view_scene_finish(view_scene *scene, lmg_error *err)
 
 double view_light_weights(const view_scene *scene, lmg_vec3 p, double *weights)
 {
-    /* The estimate knows nothing of a light's distribution, so a share of a tenth is dealt out evenly: no light that matters is starved. */
+    /* The estimate knows nothing of a light's distribution, so a share of a tenth is dealt out evenly: no light that matters is
+     * starved. */
     double sum = 0;
     for (uint32_t i = 0; i < scene->light_count; i++) {
         const view_light *light = &scene->lights[i];
@@ -291,10 +294,12 @@ bool view_scene_intersect(const view_scene *scene, lmg_vec3 origin, lmg_vec3 dir
     return true;
 }
 
-/* Surfaces that a straight ray may pass by chance (alpha coverage) before it is given up as stopped: guards against loops of rounding. */
+/* Surfaces that a straight ray may pass by chance (alpha coverage) before it is given up as stopped: guards against loops of
+ * rounding. */
 enum { MAX_PASSES = 1000 };
 
-static bool occluded_by(const view_object *object, lmg_vec3 o, lmg_vec3 d, double distance, double (*next)(void *state), void *state)
+static bool occluded_by(const view_object *object, lmg_vec3 o, lmg_vec3 d, double distance, double (*next)(void *state),
+                        void *state)
 {
     if (!object->has_alpha) {
         return lum_scene_occluded(object->scene, o, d, distance);

@@ -4,9 +4,9 @@
  *
  * World frame: the room file's frame minus the room model's centre (small numbers), metres.
  *
- * A box stands in for its lamp.  It is light only: it hides nothing and casts no shadow, its light starts where a ray meets its bounds, and
- * whatever else stands inside the bounds (a ceiling that cuts through, say) doesn't hide it.  A point inside the bounds gets no light from
- * that box.  A surface outside the bounds shadows it as usual.
+ * A box stands in for its lamp.  It is light only: it hides nothing and casts no shadow, its light starts where a ray meets its
+ * bounds, and whatever else stands inside the bounds (a ceiling that cuts through, say) doesn't hide it.  A point inside the bounds
+ * gets no light from that box.  A surface outside the bounds shadows it as usual.
  *
  * Threads: a scene that is complete may be used by any number of threads.
  */
@@ -45,8 +45,8 @@ typedef struct view_box {
 typedef enum view_light_kind { VIEW_LIGHT_BOX, VIEW_LIGHT_EMITTERS, VIEW_LIGHT_DIRECTIONAL } view_light_kind;
 typedef struct view_light {
     view_light_kind kind;
-    uint32_t index;       /* of the box, or of the object */
-    double strength;      /* flux / 4 pi (cd), or illuminance (lx) for directional lights */
+    uint32_t index;  /* of the box, or of the object */
+    double strength; /* flux / 4 pi (cd), or illuminance (lx) for directional lights */
     lmg_vec3 centre;
     double radius2;       /* keeps the estimate of the light's share finite nearby */
     lmg_vec3 direction;   /* directional: where the light goes, world */
@@ -63,7 +63,7 @@ typedef struct view_scene {
 
 /* A hit in the world frame, with the object that was hit. */
 typedef struct view_hit {
-    lum_hit hit;   /* position and normal in the model's frame, as lum_surface_at needs it */
+    lum_hit hit;           /* position and normal in the model's frame, as lum_surface_at needs it */
     lmg_vec3 position, ng; /* world */
     uint32_t object;
 } view_hit;
@@ -78,9 +78,10 @@ lmg_result view_scene_add_box(view_scene *scene, const char *path, const view_pl
 /* Adds a box that is already in memory and takes it over (also on failure). */
 lmg_result view_scene_adopt_box(view_scene *scene, lmg_field *field, const view_placement *placement, double flux, lmg_error *err);
 
-/* Adds a lamp by its geometry; recipe may be NULL (borrowed for the call).  flux: lumens that its sources are to emit, 0 = as the model says. */
-lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_recipe *recipe, const view_placement *placement, double flux,
-                               lmg_error *err);
+/* Adds a lamp by its geometry; recipe may be NULL (borrowed for the call).  flux: lumens that its sources are to emit, 0 = as the
+ * model says. */
+lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_recipe *recipe, const view_placement *placement,
+                               double flux, lmg_error *err);
 
 /* Makes the list of lights; to be called once everything is in. */
 lmg_result view_scene_finish(view_scene *scene, lmg_error *err);
@@ -88,7 +89,8 @@ lmg_result view_scene_finish(view_scene *scene, lmg_error *err);
 /* Closest hit along origin + t direction (unit), t > 0. */
 bool view_scene_intersect(const view_scene *scene, lmg_vec3 origin, lmg_vec3 direction, view_hit *hit);
 
-/* Whether something stands on origin + t direction, 0 < t < distance.  next(state) decides by chance at surfaces that cover in part. */
+/* Whether something stands on origin + t direction, 0 < t < distance.  next(state) decides by chance at surfaces that cover in
+ * part. */
 bool view_scene_occluded(const view_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance, double (*next)(void *state),
                          void *state);
 
