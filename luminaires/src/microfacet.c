@@ -1,0 +1,312 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Albedo tables of rough lobes (microfacet.h), computed when a scene is made, for the indices and roughnesses its materials have. */
+#include "microfacet.h"
+
+#include "scene_data.h"
+
+#include <stdlib.h>
+
+/* Gauss-Legendre nodes and weights on [0,1], by Newton's method from Chebyshev's nodes. */
+static void gauss_legendre(int n, double *x, double *w)
+{
+    for (int i = 0; i < n; i++) {
+        double t = cos(LUM_PI * (i + 0.75) / (n + 0.5)), slope = 1;
+        for (int step = 0; step < 100; step++) {
+            double p0 = 1, p1 = t;
+            for (int k = 2; k <= n; k++) {
+                double p2 = ((2 * k - 1) * t * p1 - (k - 1) * p0) / k;
+                p0 = p1;
+                p1 = p2;
+            }
+            slope = n * (t * p1 - p0) / (t * t - 1);
+            double dt = p1 / slope;
+            t -= dt;
+            if (fabs(dt) < 1e-15) {
+                break;
+            }
+        }
+        x[i] = 0.5 * (1 - t);
+        w[i] = 1 / ((1 - t * t) * slope * slope);
+    }
+}
+
+enum { MAX_POINTS = 256 };
+
+/*
+ * The visible normals are h = c + v with c uniform over the spherical cap z > -v.z [Dupuy2023]: E is the mean over c of what a facet's
+ * light gets away with.  Gauss-Legendre in the polar angle of c (the integrand is analytic there), midpoints in its azimuth, half of it
+ * by symmetry.
+ */
+double lum_lobe_albedo(lum_lobe_kind kind, double alpha, double eta, double mu, int n)
+{
+    if (alpha < (double)LUM_SMOOTH) {
+        return kind == LUM_LOBE_COAT ? lum_fresnel_dielectric(mu, eta) : 1;
+    }
+    mu = mu > 1e-9 ? mu : 1e-9; /* the limit at grazing */
+    double x[MAX_POINTS], w[MAX_POINTS];
+    n = n < MAX_POINTS ? n : MAX_POINTS;
+    gauss_legendre(n, x, w);
+    lmg_vec3 wi = vec(sqrt((1 - mu) * (1 + mu)), 0, mu);
+    lmg_vec3 v = vec_unit(vec(alpha * wi.x, 0, wi.z));
+    double lambda_i = ggx_lambda(alpha, wi.z, wi.x * wi.x);
+    double top = acos(fmax(-v.z, -1)), sum = 0;
+    for (int i = 0; i < n; i++) {
+        double theta = top * x[i], s = sin(theta), c = cos(theta), ring = 0;
+        for (int k = 0; k < n; k++) {
+            double phi = LUM_PI * (k + 0.5) / n;
+            lmg_vec3 m = vec(alpha * (s * cos(phi) + v.x), alpha * s * sin(phi), c + v.z);
+            if (!(m.z > 0)) {
+                continue;
+            }
+            m = vec_unit(m);
+            double ci = vec_dot(wi, m);
+            if (!(ci > 0)) {
+                continue;
+            }
+            double f = kind == LUM_LOBE_METAL ? 1 : lum_fresnel_dielectric(ci, eta);
+            lmg_vec3 wo = vec_along(vec_scale(wi, -1), m, 2 * ci);
+            if (wo.z > 0) {
+                double lambda_o = ggx_lambda(alpha, wo.z, wo.x * wo.x + wo.y * wo.y);
+                ring += f * (1 + lambda_i) / (1 + lambda_i + lambda_o);
+            }
+            if (kind == LUM_LOBE_BOUNDARY && f < 1) {
+                double ct = sqrt(fmax(1 - (1 - ci * ci) / (eta * eta), 0));
+                wo = vec_along(vec_scale(wi, -1 / eta), m, ci / eta - ct);
+                if (wo.z < 0) {
+                    ring += (1 - f) / (1 + ggx_lambda(alpha, wo.z, wo.x * wo.x + wo.y * wo.y));
+                }
+            }
+        }
+        sum += w[i] * s * ring / n;
+    }
+    /* The mean over the cap, whose measure in cos(theta) is 1 + v.z. */
+    return sum * top / (1 + v.z);
+}
+
+static double node(int j)
+{
+    double x = (double)j / LUM_LOBE_SEGMENTS;
+    return x * x * x * x;
+}
+
+static void fill_lobe(lum_lobe *lobe, lum_lobe_kind kind, double alpha, double eta)
+{
+    for (int j = 0; j <= LUM_LOBE_SEGMENTS; j++) {
+        /* At q = 0 the limit: taken a little above it, where the quadrature still resolves the lobe. */
+        double mu = sqrt(j ? node(j) : 1e-3 * node(1));
+        double rest = 1 - lum_lobe_albedo(kind, alpha, eta, mu, 32);
+        /* Never quite zero, so that the density stays defined for smooth surfaces that lose nothing; 1e-9 of the flux is below anything
+         * that a simulation resolves. */
+        lobe->rest[j] = rest > 1e-9 ? rest : 1e-9;
+    }
+    lobe->sum[0] = 0;
+    for (int j = 0; j < LUM_LOBE_SEGMENTS; j++) {
+        lobe->sum[j + 1] = lobe->sum[j] + 0.5 * (lobe->rest[j] + lobe->rest[j + 1]) * (node(j + 1) - node(j));
+    }
+}
+
+/* Segment of q and place in it. */
+static inline int locate(double mu, double *s)
+{
+    double q = mu < 1 ? mu * mu : 1;
+    int j = (int)(sqrt(sqrt(q)) * LUM_LOBE_SEGMENTS);
+    j = j < LUM_LOBE_SEGMENTS ? j : LUM_LOBE_SEGMENTS - 1;
+    double a = node(j), x = (q - a) / (node(j + 1) - a);
+    *s = x < 0 ? 0 : x > 1 ? 1 : x; /* rounding of the root may miss the segment by an ulp */
+    return j;
+}
+
+/* Neighbours in roughness: returns the lower one, *w the weight of the next (0 if there is none). */
+static inline int neighbours(const lum_lobe_set *set, double alpha, double *w)
+{
+    *w = 0;
+    if (set->count == 1) {
+        return 0;
+    }
+    double x = sqrt(alpha < 1 ? alpha : 1) * LUM_LOBE_ROUGHNESSES;
+    int k = (int)x;
+    k = k < LUM_LOBE_ROUGHNESSES ? k : LUM_LOBE_ROUGHNESSES - 1;
+    *w = x - k;
+    return k;
+}
+
+double lum_lobe_rest(const lum_lobe_set *set, double alpha, double mu)
+{
+    double s, w;
+    int j = locate(mu, &s), k = neighbours(set, alpha, &w);
+    const lum_lobe *a = &set->lobes[k];
+    double rest = a->rest[j] + s * (a->rest[j + 1] - a->rest[j]);
+    if (w > 0) {
+        double next = a[1].rest[j] + s * (a[1].rest[j + 1] - a[1].rest[j]);
+        rest += w * (next - rest);
+    }
+    return rest;
+}
+
+double lum_lobe_total(const lum_lobe_set *set, double alpha)
+{
+    double w;
+    int k = neighbours(set, alpha, &w);
+    double total = set->lobes[k].sum[LUM_LOBE_SEGMENTS];
+    return w > 0 ? total + w * (set->lobes[k + 1].sum[LUM_LOBE_SEGMENTS] - total) : total;
+}
+
+double lum_lobe_sample(const lum_lobe_set *set, double alpha, double x)
+{
+    double w;
+    int k = neighbours(set, alpha, &w);
+    const lum_lobe *lobe = &set->lobes[k];
+    if (w > 0) {
+        double a = (1 - w) * lobe->sum[LUM_LOBE_SEGMENTS], b = w * lobe[1].sum[LUM_LOBE_SEGMENTS];
+        double y = x * (a + b);
+        if (y < a) {
+            x = y / a;
+        } else {
+            lobe++;
+            x = (y - a) / b;
+        }
+    }
+    double target = (x < 1 ? x : 1) * lobe->sum[LUM_LOBE_SEGMENTS];
+    int low = 0, high = LUM_LOBE_SEGMENTS; /* sum[low] <= target < sum[high] */
+    while (high - low > 1) {
+        int middle = (low + high) / 2;
+        if (lobe->sum[middle] <= target) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    /* Solve a s + (b - a) s^2 / 2 = t, in the form that is stable for b near a. */
+    double q0 = node(low), width = node(low + 1) - q0, a = lobe->rest[low], b = lobe->rest[low + 1];
+    double t = (target - lobe->sum[low]) / width;
+    double root = a * a + 2 * (b - a) * t;
+    double s = 2 * t / (a + sqrt(root > 0 ? root : 0));
+    return sqrt(q0 + width * (s < 1 ? s : 1));
+}
+
+/* Cosine-weighted mean over the hemisphere: integral of f(sqrt(q)) dq. */
+static double hemisphere_mean(double (*f)(double, double, double), double a, double b)
+{
+    double x[64], w[64], sum = 0;
+    gauss_legendre(64, x, w);
+    for (int i = 0; i < 64; i++) {
+        sum += w[i] * 2 * x[i] * f(x[i], a, b);
+    }
+    return sum;
+}
+
+static double smooth_boundary(double mu, double eta, double unused)
+{
+    (void)unused;
+    return lum_fresnel_dielectric(mu, eta);
+}
+
+static double thin_wall(double mu, double eta, double unused)
+{
+    (void)unused;
+    return lum_fresnel_thin(mu, eta);
+}
+
+/* The set for these parameters, made if it isn't there yet.  alpha < 0: all roughnesses. */
+static const lum_lobe_set *find_set(lum_table_store *store, lum_lobe_kind kind, float eta, float alpha, bool *failed)
+{
+    alpha = alpha >= 0 && alpha < LUM_SMOOTH ? 0 : alpha;
+    for (size_t i = 0; i < store->set_count; i++) {
+        const lum_lobe_set *s = store->sets[i];
+        if (s->kind == (int)kind && s->eta == eta && s->alpha == alpha) {
+            return s;
+        }
+    }
+    int count = alpha < 0 ? LUM_LOBE_ROUGHNESSES + 1 : 1;
+    lum_lobe_set *set = malloc(sizeof *set + (size_t)count * sizeof set->lobes[0]);
+    lum_lobe_set **sets = realloc(store->sets, (store->set_count + 1) * sizeof *sets);
+    if (sets) {
+        store->sets = sets;
+    }
+    if (!set || !sets) {
+        free(set);
+        *failed = true;
+        return NULL;
+    }
+    sets[store->set_count++] = set;
+    set->kind = (int)kind;
+    set->eta = eta;
+    set->alpha = alpha;
+    set->count = count;
+    for (int k = 0; k < count; k++) {
+        double r = (double)k / LUM_LOBE_ROUGHNESSES;
+        fill_lobe(&set->lobes[k], kind, count == 1 ? (double)alpha : r * r, (double)eta);
+    }
+    return set;
+}
+
+static void fill_tables(lum_table_store *store, const lum_material *m, const float *media, int media_count, struct lum_tables *t,
+                        bool *failed)
+{
+    bool pbr = m->kind == LUM_SURFACE_PBR;
+    bool varies = m->metal_rough_texture.image != LUM_NONE;
+    float alpha = varies ? -1.0f : m->roughness * m->roughness;
+    bool rough = varies || alpha >= LUM_SMOOTH;
+    bool transmits = pbr && m->transmission > 0;
+    t->media = 0;
+    if (rough && (m->kind == LUM_SURFACE_CONDUCTOR || (pbr && m->metallic > 0) || (transmits && m->thin))) {
+        t->metal = find_set(store, LUM_LOBE_METAL, 0, alpha, failed);
+    }
+    for (int c = 0; c < 3; c++) {
+        t->metal_average[c] =
+            m->has_eta ? (float)hemisphere_mean(lum_fresnel_conductor, (double)m->eta[c], (double)m->k[c]) : 1;
+    }
+    if (!pbr) {
+        return;
+    }
+    for (int i = 0; i < media_count; i++) {
+        lum_medium_tables *medium = &t->medium[t->media++];
+        float eta = m->ior / media[i];
+        medium->eta_outside = media[i];
+        medium->fresnel_average = hemisphere_mean(smooth_boundary, (double)eta, 0);
+        medium->thin_average = hemisphere_mean(thin_wall, (double)eta, 0);
+        if (m->metallic < 1 || varies) {
+            medium->coat = find_set(store, LUM_LOBE_COAT, eta, alpha, failed);
+        }
+        if (rough && transmits && !m->thin) {
+            medium->outside = find_set(store, LUM_LOBE_BOUNDARY, eta, alpha, failed);
+            medium->inside = find_set(store, LUM_LOBE_BOUNDARY, 1 / eta, alpha, failed);
+        }
+    }
+}
+
+lmg_result lum_tables_create(const lum_model *model, lum_table_store *store, lmg_error *err)
+{
+    /* The media that a surface may be in: air, and the insides of the model's solids. */
+    float media[LUM_MAX_MEDIA] = {1.0f};
+    int count = 1;
+    for (uint32_t i = 0; i < model->material_count && count < LUM_MAX_MEDIA; i++) {
+        const lum_material *m = &model->materials[i];
+        bool solid = m->kind == LUM_SURFACE_PBR && m->transmission > 0 && !m->thin, known = false;
+        for (int k = 0; k < count; k++) {
+            known |= media[k] == m->ior;
+        }
+        if (solid && !known) {
+            media[count++] = m->ior;
+        }
+    }
+    store->tables = calloc(model->material_count ? model->material_count : 1, sizeof *store->tables);
+    bool failed = !store->tables;
+    for (uint32_t i = 0; i < model->material_count && !failed; i++) {
+        fill_tables(store, &model->materials[i], media, count, &store->tables[i], &failed);
+    }
+    return failed ? lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for the albedo tables of %u materials", model->material_count)
+                  : LMG_OK;
+}
+
+void lum_tables_destroy(lum_table_store *store)
+{
+    for (size_t i = 0; i < store->set_count; i++) {
+        free(store->sets[i]);
+    }
+    free(store->sets);
+    free(store->tables);
+    store->sets = NULL;
+    store->tables = NULL;
+    store->set_count = 0;
+}

@@ -1,0 +1,298 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Rays against triangles: the only file that calls Embree.  Embree finds the triangle in single precision; the hit is then computed
+ * again in double, which gives exact positions and rejects false hits (grazing rays on slivers, the triangle a ray has just left).
+ * Relies on surface.c and microfacet.c for what a scene holds besides geometry.
+ */
+#include "scene_data.h"
+#include "vec.h"
+
+#include <embree3/rtcore.h>
+#include <fenv.h>
+#include <stdlib.h>
+#include <string.h>
+#include <xmmintrin.h>
+
+unsigned lum_thread_begin(void)
+{
+    unsigned saved = _mm_getcsr();
+    _mm_setcsr(saved | _MM_FLUSH_ZERO_ON | 0x0040u /* denormals are zero */ | _MM_MASK_MASK);
+    return saved;
+}
+
+void lum_thread_end(unsigned saved)
+{
+    _mm_setcsr(saved);
+}
+
+/* The record of a triangle; false if its area is zero. */
+static bool fill_triangle(const lum_model *model, uint32_t index, lum_triangle *out, float normals[3][3])
+{
+    const uint32_t *corner = model->indices + 3 * (size_t)index;
+    bool smooth = false;
+    for (int i = 0; i < 3; i++) {
+        for (int k = 0; k < 3; k++) {
+            out->v[i][k] = model->positions[3 * (size_t)corner[i] + (size_t)k];
+            normals[i][k] = model->normals ? model->normals[3 * (size_t)corner[i] + (size_t)k] : 0;
+        }
+    }
+    lmg_vec3 a = vec_from_float(out->v[0]), b = vec_from_float(out->v[1]), c = vec_from_float(out->v[2]);
+    lmg_vec3 cross = vec_cross(vec_sub(b, a), vec_sub(c, a));
+    double twice_area = vec_length(cross);
+    lmg_vec3 ng = twice_area > 0 ? vec_scale(cross, 1 / twice_area) : vec(0, 0, 1);
+    out->ng[0] = (float)ng.x;
+    out->ng[1] = (float)ng.y;
+    out->ng[2] = (float)ng.z;
+    for (int i = 0; i < 3; i++) {
+        /* Flat when the vertex normal is the face's to the rounding of floats (1e-6 is 8 ulps of 1, a fifth of a second of arc). */
+        lmg_vec3 n = vec_from_float(normals[i]);
+        smooth |= vec_length(vec_sub(n, ng)) > 1e-6 && vec_dot(n, n) > 0.25;
+    }
+    out->material = (uint32_t)model->triangle_material[index] | (smooth ? LUM_TRIANGLE_SMOOTH : 0);
+    double error = lum_triangle_error((const float(*)[3])out->v);
+    double longest = fmax(vec_length(vec_sub(b, a)), fmax(vec_length(vec_sub(c, b)), vec_length(vec_sub(a, c))));
+    /* Hits keep 4 errors from each edge, so that the origin offset from one wall can't pass through another that meets it at an angle
+     * of more than 14 degrees.  Small triangles keep what they can. */
+    double margin = twice_area > 0 ? 4 * error * longest / twice_area : 0.25;
+    out->error = nextafterf((float)error, INFINITY);
+    out->margin = (float)(margin < 0.25 ? margin : 0.25);
+    out->spare = 0;
+    return twice_area > 0;
+}
+
+static lmg_result embree_failure(RTCDevice device, lmg_error *err)
+{
+    switch (rtcGetDeviceError(device)) {
+    case RTC_ERROR_OUT_OF_MEMORY:
+        return lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for the ray tracing structure; use a model with fewer triangles");
+    case RTC_ERROR_UNSUPPORTED_CPU:
+        return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "Embree doesn't support this processor (it needs SSE2)");
+    case RTC_ERROR_NONE:
+        return LMG_OK;
+    default:
+        return lmg_fail(err, LMG_ERROR_INTERNAL, "Embree failed to build the ray tracing structure");
+    }
+}
+
+lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *err)
+{
+    *out = NULL;
+    lum_scene *scene = calloc(1, sizeof *scene);
+    if (!scene) {
+        return lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for the scene");
+    }
+    scene->model = model;
+    lmg_result result = LMG_OK;
+    fenv_t environment;
+    feholdexcept(&environment); /* rtcCommitScene raises invalid operations, which kill a program that traps them */
+
+    uint32_t count = model->triangle_count, smooth = 0;
+    scene->triangles = aligned_alloc(64, ((size_t)count + 1) * sizeof *scene->triangles);
+    scene->normals = malloc(((size_t)count + 1) * sizeof *scene->normals);
+    if (!scene->triangles || !scene->normals) {
+        result = lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for %u triangles", count);
+        goto cleanup;
+    }
+    for (uint32_t i = 0; i < count; i++) {
+        fill_triangle(model, i, &scene->triangles[i], scene->normals[i]);
+        smooth += scene->triangles[i].material >> 31;
+    }
+    if (!smooth) {
+        free(scene->normals);
+        scene->normals = NULL;
+    }
+    result = lum_tables_create(model, &scene->tables, err);
+    if (!result) {
+        result = lum_shading_create(scene, err);
+    }
+    if (result) {
+        goto cleanup;
+    }
+
+    /* One thread: then the tree, and with it which of two coincident triangles is hit, is the same on every machine. */
+    RTCDevice device = rtcNewDevice("threads=1,set_affinity=0");
+    scene->device = device;
+    if (!device) {
+        result = embree_failure(NULL, err);
+        goto cleanup;
+    }
+    RTCScene embree = rtcNewScene(device);
+    scene->embree = embree;
+    rtcSetSceneFlags(embree, RTC_SCENE_FLAG_ROBUST);
+    rtcSetSceneBuildQuality(embree, RTC_BUILD_QUALITY_MEDIUM);
+    if (count) {
+        RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+        rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, model->positions, 0, 3 * sizeof(float),
+                                   model->vertex_count);
+        rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, model->indices, 0, 3 * sizeof(uint32_t),
+                                   count);
+        rtcCommitGeometry(geometry);
+        rtcAttachGeometryByID(embree, geometry, 0);
+        rtcReleaseGeometry(geometry);
+    }
+    rtcCommitScene(embree);
+    result = embree_failure(device, err);
+
+cleanup:
+    fesetenv(&environment);
+    if (result) {
+        lum_scene_destroy(scene);
+        scene = NULL;
+    }
+    *out = scene;
+    return result;
+}
+
+void lum_scene_destroy(lum_scene *scene)
+{
+    if (!scene) {
+        return;
+    }
+    if (scene->embree) {
+        rtcReleaseScene(scene->embree);
+    }
+    if (scene->device) {
+        rtcReleaseDevice(scene->device);
+    }
+    lum_tables_destroy(&scene->tables);
+    free(scene->shading);
+    free(scene->normals);
+    free(scene->triangles);
+    free(scene);
+}
+
+static inline void set_ray(struct RTCRay *ray, lmg_vec3 o, lmg_vec3 d, float near, float far)
+{
+    ray->org_x = (float)o.x;
+    ray->org_y = (float)o.y;
+    ray->org_z = (float)o.z;
+    ray->tnear = near;
+    ray->dir_x = (float)d.x;
+    ray->dir_y = (float)d.y;
+    ray->dir_z = (float)d.z;
+    ray->time = 0;
+    ray->tfar = far;
+    ray->mask = (unsigned)-1;
+    ray->id = 0;
+    ray->flags = 0;
+}
+
+/*
+ * The triangle again, in double [Moeller1997].  u, v: Embree's barycentrics.  Returns whether the ray truly meets it.
+ *
+ * Embree decides in float and (robust mode) in favour of a hit, so near an edge the exact point may lie slightly outside.  Then the point
+ * that Embree names, which is inside, is accepted if the ray passes it within the rounding of Embree's input: origin and direction
+ * rounded to float displace the ray by sqrt(3) u (|o| + t), its edge functions add some roundings of differences up to M + |o|: 32 u covers both.
+ */
+static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, float u, float v, lum_hit *hit)
+{
+    lmg_vec3 a = vec_from_float(tri->v[0]);
+    lmg_vec3 e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
+    lmg_vec3 s = vec_sub(o, a), p = vec_cross(d, e2), q = vec_cross(s, e1);
+    double inverse = 1 / vec_dot(e1, p); /* infinite for a ray in the plane: the comparisons below then fail */
+    double b1 = vec_dot(s, p) * inverse, b2 = vec_dot(d, q) * inverse, t = vec_dot(e2, q) * inverse;
+    if (!(t > 0 && t < INFINITY)) {
+        return false;
+    }
+    double margin = (double)tri->margin, b0 = 1 - b1 - b2;
+    if (!(b1 >= margin && b2 >= margin && b0 >= margin)) {
+        if (!(b1 >= 0 && b2 >= 0 && b0 >= 0)) {
+            b1 = (double)u;
+            b2 = (double)v;
+            lmg_vec3 w = vec_along(vec_along(s, e1, -b1), e2, -b2); /* from the point to the origin */
+            double along = -vec_dot(w, d);
+            double off = vec_length(vec_along(w, d, along));
+            double reach = (double)tri->error + 32 * LUM_FLOAT_ROUNDING * (fabs(o.x) + fabs(o.y) + fabs(o.z) + along);
+            if (!(along > 0 && off <= reach)) {
+                return false;
+            }
+            t = along;
+        }
+        /* Towards the centroid, away from the edges, by at most `margin` in each barycentric. */
+        b1 = fmax(b1, margin);
+        b2 = fmax(b2, margin);
+        double excess = b1 + b2 - (1 - margin);
+        if (excess > 0) {
+            double shift1 = fmin(b1 - margin, 0.5 * excess), shift2 = fmin(b2 - margin, excess - shift1);
+            shift1 = fmin(b1 - margin, excess - shift2);
+            b1 -= shift1;
+            b2 -= shift2;
+        }
+    }
+    hit->t = t;
+    hit->position = vec_along(vec_along(a, e1, b1), e2, b2);
+    hit->b1 = (float)b1;
+    hit->b2 = (float)b2;
+    hit->error = (double)tri->error;
+    /* The normal was rounded to float: its square is 1 + x, |x| < 2e-7; one Newton step for 1/sqrt(1+x) makes it unit to x^2. */
+    lmg_vec3 ng = vec_from_float(tri->ng);
+    hit->ng = vec_scale(ng, 1.5 - 0.5 * vec_dot(ng, ng));
+    return true;
+}
+
+/* Closest hit beyond `near`, as Embree sees it. */
+static inline bool trace(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, float near, struct RTCRayHit *rayhit)
+{
+    struct RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    set_ray(&rayhit->ray, o, d, near, INFINITY);
+    rayhit->hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    rayhit->hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+    rtcIntersect1(scene->embree, &context, rayhit);
+    return rayhit->hit.geomID != RTC_INVALID_GEOMETRY_ID;
+}
+
+bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit *hit)
+{
+    struct RTCRayHit rayhit;
+    float near = 0;
+    while (trace(scene, origin, direction, near, &rayhit)) {
+        hit->triangle = rayhit.hit.primID;
+        if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, rayhit.hit.u, rayhit.hit.v, hit)) {
+            return true;
+        }
+        /* Not met in truth.  It was the closest that Embree found, so all others lie beyond. */
+        near = nextafterf(rayhit.ray.tfar, INFINITY);
+    }
+    return false;
+}
+
+bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance)
+{
+    struct RTCIntersectContext context;
+    struct RTCRay ray;
+    rtcInitIntersectContext(&context);
+    /* Embree's distances are good to some roundings of the distances involved, hence 16 of them short of the end. */
+    double end = distance * (1 - 16 * LUM_FLOAT_ROUNDING);
+    set_ray(&ray, origin, direction, 0, (float)end);
+    rtcOccluded1(scene->embree, &context, &ray);
+    return ray.tfar < 0;
+}
+
+uint64_t lum_scene_trace_raw(const lum_scene *scene, const float *rays, size_t count)
+{
+    struct RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    uint64_t hits = 0;
+    for (size_t i = 0; i < count; i++) {
+        struct RTCRayHit rayhit;
+        const float *r = rays + 6 * i;
+        rayhit.ray.org_x = r[0];
+        rayhit.ray.org_y = r[1];
+        rayhit.ray.org_z = r[2];
+        rayhit.ray.tnear = 0;
+        rayhit.ray.dir_x = r[3];
+        rayhit.ray.dir_y = r[4];
+        rayhit.ray.dir_z = r[5];
+        rayhit.ray.time = 0;
+        rayhit.ray.tfar = INFINITY;
+        rayhit.ray.mask = (unsigned)-1;
+        rayhit.ray.id = 0;
+        rayhit.ray.flags = 0;
+        rayhit.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+        rayhit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+        rtcIntersect1(scene->embree, &context, &rayhit);
+        hits += rayhit.hit.geomID != RTC_INVALID_GEOMETRY_ID;
+    }
+    return hits;
+}
