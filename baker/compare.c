@@ -10,8 +10,8 @@
 #include <string.h>
 
 static const uint64_t DEFAULT_PHOTONS = 20000000;
-/* Rays that the main axis is taken from. */
-static const uint64_t AXIS_PHOTONS = 20000;
+/* Photons that main axis and size are taken from. */
+static const uint64_t PILOT_PHOTONS = 50000;
 static const uint32_t PIXELS = 32, RINGS = 32, SECTORS = 64;
 
 static int compare_doubles(const void *x, const void *y)
@@ -79,22 +79,52 @@ static lmg_result create(receivers *r, const bake_rectangle *planes, size_t plan
     return result;
 }
 
+/* A few rays of a source, kept. */
+static lmg_result run_pilot(bake_source *source, unsigned threads, bake_ray_list **list, const lmg_ray **rays, size_t *count,
+                            lmg_error *err)
+{
+    lmg_result result = bake_ray_list_create(PILOT_PHOTONS, list, err);
+    if (result != LMG_OK)
+        return result;
+    const lmg_sink sink = bake_ray_list_sink(*list);
+    bake_tally tally = {0};
+    result = source->run(source, BAKE_PILOT_FIRST, PILOT_PHOTONS, threads, &sink, 1, &tally, err);
+    *rays = bake_ray_list_sorted(*list, count);
+    if (result == LMG_OK && *count == 0)
+        result = lmg_fail(err, LMG_ERROR_INPUT, "no light leaves the luminaire: nothing to compare");
+    if (result != LMG_OK) {
+        bake_ray_list_destroy(*list);
+        *list = NULL;
+    }
+    return result;
+}
+
 static lmg_result main_axis(bake_source *source, unsigned threads, lmg_vec3 *axis, lmg_error *err)
 {
     bake_ray_list *list;
-    lmg_result result = bake_ray_list_create(AXIS_PHOTONS, &list, err);
+    const lmg_ray *rays;
+    size_t count;
+    const lmg_result result = run_pilot(source, threads, &list, &rays, &count, err);
     if (result != LMG_OK)
         return result;
-    const lmg_sink sink = bake_ray_list_sink(list);
-    bake_tally tally = {0};
-    result = source->run(source, BAKE_PILOT_FIRST, AXIS_PHOTONS, threads, &sink, 1, &tally, err);
-    if (result == LMG_OK) {
-        size_t count;
-        const lmg_ray *rays = bake_ray_list_sorted(list, &count);
-        *axis = bake_main_axis(rays, count);
-        if (count == 0)
-            result = lmg_fail(err, LMG_ERROR_INPUT, "no light leaves the luminaire: nothing to compare");
-    }
+    *axis = bake_main_axis(rays, count);
+    bake_ray_list_destroy(list);
+    return LMG_OK;
+}
+
+lmg_result bake_source_size(bake_source *source, unsigned threads, double *size, lmg_error *err)
+{
+    bake_ray_list *list;
+    const lmg_ray *rays;
+    size_t count;
+    lmg_result result = run_pilot(source, threads, &list, &rays, &count, err);
+    if (result != LMG_OK)
+        return result;
+    const lmg_fit_options fit = {.struct_size = sizeof(fit), .bounds_min = source->bounds_min, .bounds_max = source->bounds_max};
+    lmg_layout layout;
+    result = lmg_layout_fit(rays, count, &fit, &layout, NULL, err);
+    if (result == LMG_OK)
+        *size = layout.size;
     bake_ray_list_destroy(list);
     return result;
 }

@@ -41,6 +41,9 @@ typedef struct bake_comparison {
     bake_difference far_field;  /* intensity in 32 x 64 bins of equal solid angle */
 } bake_comparison;
 
+/* The size of a source (diagonal of its luminous opening, metres), as lmg_layout_fit finds it from a pilot's rays. */
+lmg_result bake_source_size(bake_source *source, unsigned threads, double *size, lmg_error *err);
+
 /* A is judged against B.  Photons are taken from number 0 on; give the sources different seeds. */
 lmg_result bake_compare(bake_source *a, bake_source *b, const bake_compare_options *options, bake_comparison *out, lmg_error *err);
 

@@ -48,6 +48,7 @@ typedef struct path {
     uint32_t segments;
     uint32_t nested;
     int32_t inside[MAX_NESTED]; /* materials of the solids around, innermost last */
+    lum_polarization polarization;
 } path;
 
 /* What the loop needs of a material, in one cache line per few materials. */
@@ -238,7 +239,7 @@ static void follow(const tracer *t, worker *w, path *p)
                 xi[i] = lum_rng_next(&p->rng);
             const lmg_vec3 wi = {-p->direction.x, -p->direction.y, -p->direction.z};
             lum_scattered s;
-            lum_scatter_trace(&surface, wi, index_outside(t, p, material, surface.front), xi, &s);
+            lum_scatter_trace(&surface, wi, index_outside(t, p, material, surface.front), xi, &p->polarization, &s);
             if (!(s.event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
                 w->counts.absorbed += photons;
                 return;

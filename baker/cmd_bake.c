@@ -1,0 +1,411 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* lumibake bake: options, progress and summary around bake_run. */
+#include "program.h"
+
+#include "bake.h"
+#include "effects.h"
+
+#include <luminaires/model.h>
+
+#include <errno.h>
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+enum {
+    KEY_TIME = 256,
+    KEY_PHOTONS,
+    KEY_FLUX,
+    KEY_OUTPUT_FLUX,
+    KEY_SEED,
+    KEY_THREADS,
+    KEY_RECIPE,
+    KEY_NO_RECIPE,
+    KEY_SET,
+    KEY_LAYOUT,
+    KEY_CELLS,
+    KEY_RESOLUTION,
+    KEY_PILOT,
+    KEY_PROGRESS,
+    KEY_JSON
+};
+
+static const struct argp_option OPTIONS[] = {
+    {"output", 'o', "BOX", 0, "the file to write, NAME.box.exr", 1},
+    {"time", KEY_TIME, "TIME", 0, "trace for so long: 90s, 5m, 1h (default 60s)", 2},
+    {"photons", KEY_PHOTONS, "N", 0, "trace so many photons, such as 1e8", 2},
+    {"flux", KEY_FLUX, "LM", 0, "what the lamp's sources emit, such as 800lm", 3},
+    {"output-flux", KEY_OUTPUT_FLUX, "LM", 0, "what leaves the luminaire", 3},
+    {"recipe", KEY_RECIPE, "FILE", 0, "lamp recipe (default LAMP.recipe.json if there)", 3},
+    {"no-recipe", KEY_NO_RECIPE, 0, 0, "don't look for a recipe beside the lamp", 3},
+    {"set", KEY_SET, "ENTRY", 0, "recipe entry, such as emitter:Bulb=800lm (repeatable)", 3},
+    {"layout", KEY_LAYOUT, "KIND", 0, "auto, cube or aperture (default auto)", 4},
+    {"cells", KEY_CELLS, "N", 0, "size of the light field in cells (default 4e6)", 4},
+    {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 4},
+    {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
+    {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
+    {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
+    {"quiet", 'q', 0, 0, "no progress, no warnings, no summary", 6},
+    {"progress", KEY_PROGRESS, 0, 0, "progress lines even when stderr is no terminal", 6},
+    {"json", KEY_JSON, 0, 0, "summary as JSON", 6},
+    {0},
+};
+
+static const char DOC[] = "Traces the light of a luminaire (.gltf, .glb) photon by photon and writes what leaves it as a box of light."
+                          "\vCtrl-C ends a bake early with a valid box (exit code 130), a second one quits without.\n"
+                          "Example:\n  lumibake bake lamp.gltf -o lamp.box.exr --flux 800lm --time 2m";
+
+typedef struct command {
+    lamp_options lamp;
+    const char *output;
+    bake_options bake;
+    bool quiet, progress, json;
+    /* progress on a terminal */
+    bool terminal;
+    double last_line;
+} command;
+
+static void parse_resolution(struct argp_state *state, const char *text, uint32_t resolution[4])
+{
+    unsigned long v[4];
+    char extra;
+    if (sscanf(text, "%lu,%lu,%lu,%lu%c", &v[0], &v[1], &v[2], &v[3], &extra) != 4 || strchr(text, '-'))
+        usage_error(state, "--resolution: '%s' is not four numbers such as 32,32,64,64", text);
+    for (int i = 0; i < 4; ++i) {
+        if (v[i] > 65535)
+            usage_error(state, "--resolution: %lu is beyond 65535", v[i]);
+        resolution[i] = (uint32_t)v[i];
+    }
+}
+
+static error_t parse(int key, char *arg, struct argp_state *state)
+{
+    command *c = state->input;
+    switch (key) {
+    case 'o':
+        c->output = arg;
+        break;
+    case KEY_TIME:
+        c->bake.seconds = argument_seconds(state, "--time", arg);
+        break;
+    case KEY_PHOTONS:
+        c->bake.photons = argument_count(state, "--photons", arg, 1, UINT64_C(1) << 52);
+        break;
+    case KEY_FLUX:
+        c->bake.flux_lm = argument_lumens(state, "--flux", arg);
+        break;
+    case KEY_OUTPUT_FLUX:
+        c->bake.output_flux_lm = argument_lumens(state, "--output-flux", arg);
+        break;
+    case KEY_RECIPE:
+        c->lamp.recipe_path = arg;
+        break;
+    case KEY_NO_RECIPE:
+        c->lamp.no_recipe = true;
+        break;
+    case KEY_SET:
+        if (c->lamp.set_count == sizeof(c->lamp.sets) / sizeof(c->lamp.sets[0]))
+            usage_error(state, "--set: more than %zu entries; write a recipe file", c->lamp.set_count);
+        c->lamp.sets[c->lamp.set_count++] = arg;
+        break;
+    case KEY_LAYOUT:
+        if (!strcmp(arg, "auto"))
+            c->bake.fit.choice = LMG_LAYOUT_AUTO;
+        else if (!strcmp(arg, "cube"))
+            c->bake.fit.choice = LMG_LAYOUT_CUBE;
+        else if (!strcmp(arg, "aperture"))
+            c->bake.fit.choice = LMG_LAYOUT_APERTURE;
+        else
+            usage_error(state, "--layout: '%s' is not auto, cube or aperture", arg);
+        break;
+    case KEY_CELLS:
+        c->bake.fit.cells = argument_count(state, "--cells", arg, 1000, UINT64_C(1) << 32);
+        break;
+    case KEY_RESOLUTION:
+        parse_resolution(state, arg, c->bake.fit.resolution);
+        break;
+    case KEY_PILOT:
+        c->bake.pilot_photons = argument_count(state, "--pilot", arg, 1, 100000000);
+        break;
+    case KEY_SEED:
+        c->bake.seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
+        break;
+    case KEY_THREADS:
+        c->bake.threads = (unsigned)argument_count(state, "--threads", arg, 1, 1024);
+        break;
+    case 'q':
+        c->quiet = true;
+        break;
+    case KEY_PROGRESS:
+        c->progress = true;
+        break;
+    case KEY_JSON:
+        c->json = true;
+        break;
+    case ARGP_KEY_ARG:
+        if (c->lamp.path)
+            usage_error(state, "'%s': one lamp at a time", arg);
+        c->lamp.path = arg;
+        break;
+    case ARGP_KEY_END:
+        if (!c->lamp.path)
+            usage_error(state, "which lamp? give a .gltf or .glb file");
+        if (!c->output)
+            usage_error(state, "where to? give -o NAME.box.exr");
+        if (c->bake.photons && c->bake.seconds > 0)
+            usage_error(state, "--time and --photons exclude each other");
+        if (c->bake.flux_lm > 0 && c->bake.output_flux_lm > 0)
+            usage_error(state, "--flux and --output-flux exclude each other");
+        if (c->lamp.recipe_path && c->lamp.no_recipe)
+            usage_error(state, "--recipe and --no-recipe exclude each other");
+        break;
+    default:
+        return ARGP_ERR_UNKNOWN;
+    }
+    return 0;
+}
+
+static void print_duration(char text[16], double seconds)
+{
+    const unsigned s = seconds < 1e6 ? (unsigned)(seconds + 0.5) : 999999;
+    if (s < 3600)
+        snprintf(text, 16, "%u:%02u", s / 60, s % 60);
+    else
+        snprintf(text, 16, "%u:%02u:%02u", s / 3600 % 1000, s / 60 % 60, s % 60);
+}
+
+/* On a terminal one line that is written over; otherwise a line every ten seconds. */
+static void show_progress(void *self, const bake_progress *p)
+{
+    command *c = self;
+    if (!c->terminal && p->seconds_left > 0 && p->seconds - c->last_line < 10)
+        return;
+    c->last_line = p->seconds;
+    char left[16];
+    print_duration(left, p->seconds_left);
+    fprintf(stderr, "%s%.4g M photons, %.3g M/s, %.4f %% of the flux accounted, noise %.2g %%, %s left%s", c->terminal ? "\r" : "",
+            1e-6 * (double)p->photons, 1e-6 * p->rate, 100 * p->accounted, 100 * p->noise, left, c->terminal ? "\033[K" : "\n");
+    fflush(stderr);
+}
+
+/* The settings that decide the result (not threads, paths, or how the number of photons was reached), as canonical JSON. */
+static char *settings_text(const command *c)
+{
+    static const char *const KINDS[] = {"auto", "cube", "aperture"};
+    const lmg_fit_options *f = &c->bake.fit;
+    json_t *o = json_object();
+    json_object_set_new(o, "layout", json_string(KINDS[f->choice]));
+    if (f->cells)
+        json_object_set_new(o, "cells", json_integer((json_int_t)f->cells));
+    if (f->resolution[0] || f->resolution[1] || f->resolution[2] || f->resolution[3]) {
+        json_t *r = json_array();
+        for (int i = 0; i < 4; ++i)
+            json_array_append_new(r, json_integer(f->resolution[i]));
+        json_object_set_new(o, "resolution", r);
+    }
+    if (c->bake.flux_lm > 0)
+        json_object_set_new(o, "flux_lm", json_real(c->bake.flux_lm));
+    if (c->bake.output_flux_lm > 0)
+        json_object_set_new(o, "output_flux_lm", json_real(c->bake.output_flux_lm));
+    char *text = json_dumps(o, JSON_COMPACT | JSON_SORT_KEYS | JSON_REAL_PRECISION(15));
+    json_decref(o);
+    return text;
+}
+
+static json_t *json_flux(double lumens, double error)
+{
+    return json_pack("{s:o, s:o}", "lm", json_number(lumens), "standard_error", json_number(error));
+}
+
+static json_t *summary_json(const command *c, const lmg_field *field, const bake_report *r, const lum_model *model, const char *recipe,
+                            double seconds, uint64_t bytes)
+{
+    const lmg_ledger l = lmg_field_ledger(field);
+    const lmg_layout *y = lmg_field_layout(field);
+    char effects[512];
+    bake_effects_print(r->effects, effects, sizeof(effects));
+    json_t *warnings = json_array();
+    for (uint32_t i = 0; i < model->warning_count; ++i)
+        json_array_append_new(warnings, json_string(model->warnings[i]));
+    const double trace = fmax(r->trace_seconds, 1e-9);
+    json_t *o = json_object();
+    json_object_set_new(o, "format", json_string("lumibake bake 1"));
+    json_object_set_new(o, "lamp", json_string(c->lamp.path));
+    json_object_set_new(o, "recipe", recipe[0] ? json_string(recipe) : json_null());
+    json_object_set_new(o, "box", json_string(c->output));
+    json_object_set_new(o, "photons", json_integer((json_int_t)l.photons));
+    json_object_set_new(o, "pilot_photons", json_integer((json_int_t)r->pilot_photons));
+    json_object_set_new(o, "segments", json_integer((json_int_t)r->tally.segments));
+    json_object_set_new(o, "emitted", json_flux(l.emitted, l.emitted_se));
+    json_object_set_new(o, "stored", json_flux(l.stored, l.stored_se));
+    json_object_set_new(o, "residual", json_flux(l.residual, l.residual_se));
+    json_object_set_new(o, "absorbed", json_flux(l.absorbed, l.absorbed_se));
+    json_object_set_new(o, "lost", json_flux(l.lost, l.lost_se));
+    json_object_set_new(o, "lost_inside_photons", json_real(r->tally.lost_inside));
+    json_object_set_new(o, "efficiency", json_number((l.stored + l.residual) / l.emitted));
+    json_object_set_new(o, "noise", json_number(r->noise));
+    json_object_set_new(o, "effects", json_string(effects));
+    json_object_set_new(o, "slabs", json_integer(y->slab_count));
+    json_object_set_new(o, "channels", json_integer(y->channels));
+    json_object_set_new(o, "size_m", json_number(y->size));
+    json_object_set_new(o, "layout_why", json_string(r->layout_why));
+    json_object_set_new(o, "photons_per_second", json_number((double)l.photons / trace));
+    json_object_set_new(o, "segments_per_second", json_number((double)r->tally.segments / trace));
+    json_object_set_new(o, "seconds",
+                        json_pack("{s:f, s:f, s:f, s:f}", "pilot", r->pilot_seconds, "trace", r->trace_seconds, "reconstruct",
+                                  r->reconstruct_seconds, "total", seconds));
+    json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
+    json_object_set_new(o, "interrupted", json_boolean(r->interrupted));
+    json_object_set_new(o, "warnings", warnings);
+    return o;
+}
+
+static void print_share(const char *name, double lumens, double error, double emitted)
+{
+    printf("  %-9s %12.6g lm  +- %-9.2g %9.4f %%\n", name, lumens, error, 100 * lumens / emitted);
+}
+
+static void print_summary(const command *c, const lmg_field *field, const bake_report *r, double seconds, uint64_t bytes)
+{
+    const lmg_ledger l = lmg_field_ledger(field);
+    const lmg_layout *y = lmg_field_layout(field);
+    const double n = (double)l.photons;
+    const double out = l.stored + l.residual, share = out / l.emitted;
+    char effects[512];
+    bake_effects_print(r->effects, effects, sizeof(effects));
+    printf("%s\n", c->output);
+    printf("  effects   %s\n", effects);
+    printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n", l.photons,
+           r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
+    printf("  emitted   %12.6g lm\n", l.emitted);
+    print_share("stored", l.stored, l.stored_se, l.emitted);
+    print_share("residual", l.residual, l.residual_se, l.emitted);
+    print_share("absorbed", l.absorbed, l.absorbed_se, l.emitted);
+    print_share("lost", l.lost, l.lost_se, l.emitted);
+    printf("  efficiency %.4f %% +- %.2g %%\n", 100 * share, 100 * bake_share_error(share * n, n));
+    uint64_t cells = 0;
+    for (uint32_t i = 0; i < y->slab_count; ++i)
+        cells += (uint64_t)y->slabs[i].nu * y->slabs[i].nv * y->slabs[i].ns * y->slabs[i].nt;
+    printf("  layout    %u slabs, %.3g M cells, %s; size %.4g m\n", y->slab_count, 1e-6 * (double)cells,
+           y->channels == 1 ? "one colour" : "R,G,B", y->size);
+    for (const char *line = r->layout_why; *line;) {
+        const size_t length = strcspn(line, "\n");
+        if (length > 0)
+            printf("            %.*s\n", (int)length, line);
+        line += length + (line[length] == '\n');
+    }
+    printf("  file      %.1f MB; %.1f s in all (pilot %.1f s)\n", 1e-6 * (double)bytes, seconds, r->pilot_seconds);
+}
+
+/* What the ledger gives reason to warn of. */
+static void print_remarks(const bake_report *r)
+{
+    const double n = r->tally.emitted;
+    if (r->tally.lost_inside > 0)
+        fprintf(stderr,
+                "warning: %.3g %% of the light left the model while inside a solid dielectric: its mesh is open or its faces point inwards; "
+                "close it, or declare it thin-walled (--set thin:MATERIAL)\n",
+                100 * r->tally.lost_inside / n);
+    if (r->tally.lost - r->tally.lost_inside > 1e-6 * n)
+        fprintf(stderr, "warning: %.3g %% of the light was lost to numerical errors\n",
+                100 * (r->tally.lost - r->tally.lost_inside) / n);
+}
+
+static int bake_lamp(command *c, lum_model *model, const char *recipe, double began)
+{
+    lmg_error err = {{0}};
+    char *settings = settings_text(c);
+    c->bake.settings = settings;
+    c->bake.stop = catch_interrupts();
+    c->terminal = isatty(STDERR_FILENO) && !c->progress;
+    if (!c->quiet && (c->terminal || c->progress)) {
+        c->bake.progress = show_progress;
+        c->bake.progress_self = c;
+    }
+    lmg_field *field = NULL;
+    bake_report report;
+    lmg_result result = bake_run(model, &c->bake, &field, &report, &err);
+    if (c->bake.progress && c->terminal)
+        fputs("\r\033[K", stderr);
+    free(settings);
+    if (result != LMG_OK)
+        return report_error(result, &err);
+    if (lmg_field_write(field, c->output, &err) != LMG_OK) {
+        lmg_field_destroy(field);
+        return report_failure(&err);
+    }
+
+    struct stat status = {0};
+    const uint64_t bytes = stat(c->output, &status) == 0 ? (uint64_t)status.st_size : 0;
+    const double seconds = bake_clock() - began;
+    int code = report.interrupted ? EXIT_INTERRUPTED : EXIT_DONE;
+    if (!c->quiet) {
+        print_remarks(&report);
+        if (report.interrupted)
+            fprintf(stderr, "interrupted: the box holds the %" PRIu64 " photons traced so far\n", report.tally.photons);
+    }
+    bool printed = true;
+    if (c->json) {
+        printed = print_json(summary_json(c, field, &report, model, recipe, seconds, bytes));
+    } else if (!c->quiet) {
+        print_summary(c, field, &report, seconds, bytes);
+        printed = fflush(stdout) == 0 && !ferror(stdout);
+    }
+    lmg_field_destroy(field);
+    if (!printed) {
+        lmg_fail(&err, LMG_ERROR_FILE_WRITE, "can't print the summary: %s", strerror(errno));
+        code = report_failure(&err);
+    }
+    return code;
+}
+
+/* Whether the output can be written, asked before a minute is spent on tracing. */
+static lmg_result check_output(const command *c, lmg_error *err)
+{
+    struct stat lamp, output;
+    if (stat(c->output, &output) == 0) {
+        if (S_ISDIR(output.st_mode))
+            return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: is a directory; give the name of a file", c->output);
+        if (stat(c->lamp.path, &lamp) == 0 && lamp.st_dev == output.st_dev && lamp.st_ino == output.st_ino)
+            return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: the box would overwrite the lamp", c->output);
+    }
+    const char *slash = strrchr(c->output, '/');
+    char folder[1024] = ".";
+    if (slash && snprintf(folder, sizeof(folder), "%.*s", (int)(slash - c->output) + 1, c->output) >= (int)sizeof(folder))
+        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "the name of the output is too long");
+    if (access(folder, W_OK) != 0)
+        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: can't write in %s: %s", c->output, folder, strerror(errno));
+    return LMG_OK;
+}
+
+int cmd_bake(int argc, char **argv)
+{
+    static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "LAMP -o BOX", .doc = DOC};
+    command c = {.bake = {.seed = 1}};
+    argp_parse(&ARGP, argc, argv, 0, NULL, &c);
+
+    const double began = bake_clock();
+    lmg_error err = {{0}};
+    lum_model *model = NULL;
+    char *recipe_text = NULL, recipe[1024];
+    if (check_output(&c, &err) != LMG_OK)
+        return report_failure(&err);
+    const lmg_result result = lamp_load(&c.lamp, &model, &recipe_text, recipe, &err);
+    if (result != LMG_OK)
+        return report_error(result, &err);
+    if (!c.quiet) {
+        if (recipe[0] && !c.lamp.recipe_path)
+            fprintf(stderr, "using the recipe %s\n", recipe);
+        for (uint32_t i = 0; i < model->warning_count; ++i)
+            fprintf(stderr, "warning: %s\n", model->warnings[i]);
+    }
+    c.bake.recipe = recipe_text;
+    const int code = bake_lamp(&c, model, recipe, began);
+    free(recipe_text);
+    lum_model_destroy(model);
+    return code;
+}

@@ -1,0 +1,200 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* lumibake info: what a box says about itself. */
+#include "program.h"
+
+#include <errno.h>
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/stat.h>
+
+enum { KEY_JSON = 256 };
+
+static const struct argp_option OPTIONS[] = {
+    {"json", KEY_JSON, 0, 0, "everything as JSON", 1},
+    {0},
+};
+
+static const char DOC[] = "Says what is in a box of light: layout, planes, size, where the light went (with standard errors), effects, provenance."
+                          "\vExample:\n  lumibake info lamp.box.exr";
+
+typedef struct command {
+    const char *box;
+    bool json;
+} command;
+
+static error_t parse(int key, char *arg, struct argp_state *state)
+{
+    command *c = state->input;
+    switch (key) {
+    case KEY_JSON:
+        c->json = true;
+        break;
+    case ARGP_KEY_ARG:
+        if (c->box)
+            usage_error(state, "'%s': one box at a time", arg);
+        c->box = arg;
+        break;
+    case ARGP_KEY_END:
+        if (!c->box)
+            usage_error(state, "which box? give a .box.exr file");
+        break;
+    default:
+        return ARGP_ERR_UNKNOWN;
+    }
+    return 0;
+}
+
+static const char *kind_name(lmg_slab_kind kind)
+{
+    return kind == LMG_SLAB_APERTURE ? "aperture" : "cube";
+}
+
+static json_t *json_vec(lmg_vec3 v)
+{
+    return json_pack("[o,o,o]", json_number(v.x), json_number(v.y), json_number(v.z));
+}
+
+static json_t *slab_json(const lmg_field *field, uint32_t i)
+{
+    const lmg_slab *s = &lmg_field_layout(field)->slabs[i];
+    double error;
+    const double flux = lmg_field_slab_flux(field, i, &error);
+    json_t *o = json_object();
+    json_object_set_new(o, "kind", json_string(kind_name(s->kind)));
+    json_object_set_new(o, "o", json_vec(s->o));
+    json_object_set_new(o, "a", json_vec(s->a));
+    json_object_set_new(o, "b", json_vec(s->b));
+    json_object_set_new(o, "n", json_vec(s->n));
+    json_object_set_new(o, "distance_m", json_number(s->distance)); /* null: infinity */
+    json_object_set_new(o, "u_m", json_pack("[f,f]", s->u0, s->u1));
+    json_object_set_new(o, "v_m", json_pack("[f,f]", s->v0, s->v1));
+    json_object_set_new(o, "s", json_pack("[f,f]", s->s0, s->s1));
+    json_object_set_new(o, "t", json_pack("[f,f]", s->t0, s->t1));
+    json_object_set_new(o, "cells", json_pack("[i,i,i,i]", (int)s->nu, (int)s->nv, (int)s->ns, (int)s->nt));
+    json_object_set_new(o, "flux_lm", json_number(flux));
+    json_object_set_new(o, "flux_standard_error", json_number(error));
+    return o;
+}
+
+static json_t *info_json(const command *c, const lmg_field *field, uint64_t bytes)
+{
+    const lmg_layout *y = lmg_field_layout(field);
+    const lmg_ledger l = lmg_field_ledger(field);
+    json_t *ledger = json_object();
+    const struct {
+        const char *name;
+        double lumens, error;
+    } shares[] = {
+        {"emitted", l.emitted, l.emitted_se},    {"stored", l.stored, l.stored_se}, {"residual", l.residual, l.residual_se},
+        {"absorbed", l.absorbed, l.absorbed_se}, {"lost", l.lost, l.lost_se},
+    };
+    json_object_set_new(ledger, "photons", json_integer((json_int_t)l.photons));
+    for (size_t i = 0; i < sizeof(shares) / sizeof(shares[0]); ++i)
+        json_object_set_new(ledger, shares[i].name,
+                            json_pack("{s:o, s:o}", "lm", json_number(shares[i].lumens), "standard_error", json_number(shares[i].error)));
+    json_t *slabs = json_array();
+    for (uint32_t i = 0; i < y->slab_count; ++i)
+        json_array_append_new(slabs, slab_json(field, i));
+    json_t *texts = json_object();
+    for (size_t i = 0; lmg_field_text_name(field, i); ++i) {
+        const char *name = lmg_field_text_name(field, i);
+        json_object_set_new(texts, name, json_string(lmg_field_get_text(field, name)));
+    }
+    json_t *o = json_object();
+    json_object_set_new(o, "format", json_string("lumibake info 1"));
+    json_object_set_new(o, "box", json_string(c->box));
+    json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
+    json_object_set_new(o, "memory", json_integer((json_int_t)lmg_field_memory(field)));
+    json_object_set_new(o, "ledger", ledger);
+    json_object_set_new(o, "channels", json_integer(y->channels));
+    json_object_set_new(o, "colour", json_pack("[f,f,f]", (double)y->colour[0], (double)y->colour[1], (double)y->colour[2]));
+    json_object_set_new(o, "bounds_min_m", json_vec(y->bounds_min));
+    json_object_set_new(o, "bounds_max_m", json_vec(y->bounds_max));
+    json_object_set_new(o, "size_m", json_number(y->size));
+    json_object_set_new(o, "slabs", slabs);
+    json_object_set_new(o, "texts", texts);
+    return o;
+}
+
+static void print_share(const char *name, double lumens, double error, double emitted)
+{
+    printf("  %-9s %12.6g lm  +- %-9.2g %9.4f %%\n", name, lumens, error, 100 * lumens / emitted);
+}
+
+/* A long text in lines that start under each other. */
+static void print_text(const char *name, const char *value)
+{
+    printf("  %s:", name);
+    const char *line = value;
+    const bool several = strchr(value, '\n') != NULL;
+    do {
+        const size_t length = strcspn(line, "\n");
+        fputs(several ? "\n    " : " ", stdout);
+        fwrite(line, 1, length, stdout);
+        line += length + (line[length] == '\n');
+    } while (*line);
+    putchar('\n');
+}
+
+static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
+{
+    const lmg_layout *y = lmg_field_layout(field);
+    const lmg_ledger l = lmg_field_ledger(field);
+    printf("%s: %.1f MB, %.1f MB in memory\n", c->box, 1e-6 * (double)bytes, 1e-6 * (double)lmg_field_memory(field));
+    printf("\nWhere the light went (%" PRIu64 " photons)\n", l.photons);
+    printf("  emitted   %12.6g lm\n", l.emitted);
+    print_share("stored", l.stored, l.stored_se, l.emitted);
+    print_share("residual", l.residual, l.residual_se, l.emitted);
+    print_share("absorbed", l.absorbed, l.absorbed_se, l.emitted);
+    print_share("lost", l.lost, l.lost_se, l.emitted);
+    printf("\nLight field: %u slabs, %s, size %.4g m\n", y->slab_count, y->channels == 1 ? "one colour" : "R,G,B", y->size);
+    printf("  bounds    %.5g %.5g %.5g to %.5g %.5g %.5g m\n", y->bounds_min.x, y->bounds_min.y, y->bounds_min.z, y->bounds_max.x,
+           y->bounds_max.y, y->bounds_max.z);
+    printf("  slab kind     normal                 (u,v) plane at         u x v m              cells (u v s t)     flux lm\n");
+    for (uint32_t i = 0; i < y->slab_count; ++i) {
+        const lmg_slab *s = &y->slabs[i];
+        double error;
+        const double flux = lmg_field_slab_flux(field, i, &error);
+        char cells[40], origin[40], normal[40], size[40];
+        snprintf(cells, sizeof(cells), "%u %u %u %u", s->nu, s->nv, s->ns, s->nt);
+        snprintf(normal, sizeof(normal), "%.3g %.3g %.3g", s->n.x, s->n.y, s->n.z);
+        snprintf(origin, sizeof(origin), "%.4g %.4g %.4g", s->o.x, s->o.y, s->o.z);
+        snprintf(size, sizeof(size), "%.4g x %.4g", s->u1 - s->u0, s->v1 - s->v0);
+        printf("  %3u  %-8s %-22s %-22s %-20s %-19s %.6g +- %.2g\n", i, kind_name(s->kind), normal, origin, size, cells, flux, error);
+    }
+    printf("\nProvenance\n");
+    for (size_t i = 0; lmg_field_text_name(field, i); ++i) {
+        const char *name = lmg_field_text_name(field, i);
+        print_text(name, lmg_field_get_text(field, name));
+    }
+}
+
+int cmd_info(int argc, char **argv)
+{
+    static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "BOX", .doc = DOC};
+    command c = {0};
+    argp_parse(&ARGP, argc, argv, 0, NULL, &c);
+
+    lmg_error err = {{0}};
+    lmg_field *field;
+    const lmg_result result = lmg_field_read(c.box, &field, &err);
+    if (result != LMG_OK)
+        return report_error(result, &err);
+    struct stat status = {0};
+    const uint64_t bytes = stat(c.box, &status) == 0 ? (uint64_t)status.st_size : 0;
+    bool printed;
+    if (c.json) {
+        printed = print_json(info_json(&c, field, bytes));
+    } else {
+        print_info(&c, field, bytes);
+        printed = fflush(stdout) == 0 && !ferror(stdout);
+    }
+    lmg_field_destroy(field);
+    if (!printed) {
+        lmg_fail(&err, LMG_ERROR_FILE_WRITE, "can't print: %s", strerror(errno));
+        return report_failure(&err);
+    }
+    return EXIT_DONE;
+}

@@ -1,0 +1,199 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Shared by the commands of lumibake: arguments, messages, exit codes, loading a lamp with its recipe. */
+#include "program.h"
+
+#include <luminaires/model.h>
+
+#include <errno.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+/* One line, whatever the message holds. */
+static void print_error(const lmg_error *err)
+{
+    fputs("error: ", stderr);
+    for (const char *c = err->message; *c; ++c)
+        fputc(*c == '\n' || *c == '\r' ? ' ' : *c, stderr);
+    fputc('\n', stderr);
+}
+
+int report_failure(const lmg_error *err)
+{
+    print_error(err);
+    return EXIT_FAILED;
+}
+
+int report_error(lmg_result result, const lmg_error *err)
+{
+    print_error(err);
+    switch (result) {
+    case LMG_OK:
+        return EXIT_DONE;
+    case LMG_ERROR_FILE_OPEN:
+    case LMG_ERROR_FILE_READ:
+    case LMG_ERROR_FILE_FORMAT:
+    case LMG_ERROR_FILE_VERSION:
+    case LMG_ERROR_INPUT:
+    case LMG_ERROR_UNSUPPORTED:
+    case LMG_ERROR_ARGUMENT: /* values come from the user's files; options have been checked before */
+        return EXIT_INPUT;
+    default:
+        return EXIT_FAILED;
+    }
+}
+
+void usage_error(const struct argp_state *state, const char *format, ...)
+{
+    va_list args;
+    va_start(args, format);
+    fputs("error: ", stderr);
+    vfprintf(stderr, format, args);
+    fprintf(stderr, " (see %s --help)\n", state->name);
+    va_end(args);
+    exit(EXIT_USAGE);
+}
+
+double argument_number(const struct argp_state *state, const char *option, const char *text, double least, double most)
+{
+    char *end;
+    errno = 0;
+    const double value = strtod(text, &end);
+    if (end == text || *end || errno || !isfinite(value))
+        usage_error(state, "%s: '%s' is not a number", option, text);
+    if (value < least || value > most)
+        usage_error(state, "%s: %s is outside %g to %g", option, text, least, most);
+    return value;
+}
+
+uint64_t argument_count(const struct argp_state *state, const char *option, const char *text, uint64_t least, uint64_t most)
+{
+    char *end;
+    errno = 0;
+    if (text[0] >= '0' && text[0] <= '9') {
+        const unsigned long long whole = strtoull(text, &end, 10);
+        if (!*end && !errno && whole >= least && whole <= most)
+            return whole;
+    }
+    /* "1e8", "2.5e6" */
+    errno = 0;
+    const double value = strtod(text, &end);
+    if (end == text || *end || errno || !isfinite(value) || value != floor(value))
+        usage_error(state, "%s: '%s' is not a whole number such as 4000000 or 4e6", option, text);
+    if (value < (double)least || value > 0x1p63 || (uint64_t)value > most)
+        usage_error(state, "%s: %s is outside %.6g to %.6g", option, text, (double)least, (double)most);
+    return (uint64_t)value;
+}
+
+double argument_seconds(const struct argp_state *state, const char *option, const char *text)
+{
+    char *end;
+    const double value = strtod(text, &end);
+    const double unit = !strcmp(end, "") || !strcmp(end, "s") ? 1 : !strcmp(end, "m") || !strcmp(end, "min") ? 60 : !strcmp(end, "h") ? 3600 : 0;
+    if (end == text || unit == 0 || !(value * unit > 0) || !(value * unit <= 1e8))
+        usage_error(state, "%s: '%s' is not a time such as 90s, 5m or 2h", option, text);
+    return value * unit;
+}
+
+double argument_lumens(const struct argp_state *state, const char *option, const char *text)
+{
+    char *end;
+    const double value = strtod(text, &end);
+    if (end == text || (strcmp(end, "") && strcmp(end, "lm")) || !(value > 0) || !(value <= 1e12))
+        usage_error(state, "%s: '%s' is not a luminous flux such as 800lm", option, text);
+    return value;
+}
+
+/* ------------------------------------------------------------------------------------------------------------ recipes */
+
+bool lamp_recipe_path(const lamp_options *lamp, char path[1024])
+{
+    path[0] = 0;
+    if (lamp->recipe_path)
+        return snprintf(path, 1024, "%s", lamp->recipe_path) < 1024;
+    if (lamp->no_recipe)
+        return false;
+    /* lamp.gltf -> lamp.recipe.json */
+    const char *slash = strrchr(lamp->path, '/');
+    const char *dot = strrchr(lamp->path, '.');
+    const size_t stem = dot && (!slash || dot > slash) ? (size_t)(dot - lamp->path) : strlen(lamp->path);
+    const int n = snprintf(path, 1024, "%.*s.recipe.json", (int)(stem < 900 ? stem : 900), lamp->path);
+    if (n > 0 && n < 1024 && stem < 900 && access(path, R_OK) == 0)
+        return true;
+    path[0] = 0;
+    return false;
+}
+
+/* The recipe's text for the file's provenance: compact JSON with sorted keys, the shorthands added as "set". */
+static char *recipe_text(const char *path, const lamp_options *lamp)
+{
+    if (!path[0] && lamp->set_count == 0)
+        return NULL;
+    json_t *object = path[0] ? json_load_file(path, 0, NULL) : NULL;
+    if (!object)
+        object = json_object();
+    json_t *sets = json_array();
+    for (size_t i = 0; i < lamp->set_count; ++i)
+        json_array_append_new(sets, json_string(lamp->sets[i]));
+    if (lamp->set_count > 0)
+        json_object_set(object, "set", sets);
+    json_decref(sets);
+    char *text = json_dumps(object, JSON_COMPACT | JSON_SORT_KEYS | JSON_REAL_PRECISION(15));
+    json_decref(object);
+    return text;
+}
+
+lmg_result lamp_load(const lamp_options *lamp, struct lum_model **out, char **text, char used[1024], lmg_error *err)
+{
+    *out = NULL;
+    *text = NULL;
+    lum_recipe *recipe = NULL;
+    lmg_result result = lamp_recipe_path(lamp, used) ? lum_recipe_read(used, &recipe, err) : lum_recipe_create(&recipe, err);
+    for (size_t i = 0; result == LMG_OK && i < lamp->set_count; ++i)
+        result = lum_recipe_add(recipe, lamp->sets[i], err);
+    if (result == LMG_OK)
+        result = lum_model_load(lamp->path, recipe, out, err);
+    lum_recipe_destroy(recipe);
+    if (result == LMG_OK)
+        *text = recipe_text(used, lamp);
+    return result;
+}
+
+/* ------------------------------------------------------------------------------------------------------------- Ctrl-C */
+
+static volatile sig_atomic_t interrupted;
+
+static void on_signal(int number)
+{
+    (void)number;
+    if (interrupted)
+        _exit(EXIT_INTERRUPTED);
+    interrupted = 1;
+}
+
+const volatile sig_atomic_t *catch_interrupts(void)
+{
+    struct sigaction action = {.sa_handler = on_signal, .sa_flags = SA_RESTART};
+    sigemptyset(&action.sa_mask);
+    sigaction(SIGINT, &action, NULL);
+    sigaction(SIGTERM, &action, NULL);
+    return &interrupted;
+}
+
+/* --------------------------------------------------------------------------------------------------------------- JSON */
+
+bool print_json(json_t *object)
+{
+    const bool done = object && json_dumpf(object, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(9)) == 0 && fputc('\n', stdout) != EOF &&
+                      fflush(stdout) == 0;
+    json_decref(object);
+    return done;
+}
+
+json_t *json_number(double value)
+{
+    return isfinite(value) ? json_real(value) : json_null();
+}

@@ -1,0 +1,62 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* What the commands of the program lumibake share: reading of arguments, messages, exit codes, Ctrl-C.  No physics here. */
+#ifndef BAKER_PROGRAM_H
+#define BAKER_PROGRAM_H
+
+#include <lumigraph/lumigraph.h>
+
+#include <argp.h>
+#include <jansson.h>
+#include <signal.h>
+
+struct lum_model;
+struct lum_recipe;
+
+enum { EXIT_DONE = 0, EXIT_FAILED = 1, EXIT_USAGE = 2, EXIT_INPUT = 3, EXIT_INTERRUPTED = 130 };
+
+/* The commands: argv[0] is "lumibake NAME"; the exit code. */
+int cmd_bake(int argc, char **argv);
+int cmd_info(int argc, char **argv);
+int cmd_probe(int argc, char **argv);
+int cmd_compare(int argc, char **argv);
+
+/* Prints "error: message" as one line to stderr and returns the exit code that the result stands for when it came from reading or
+ * judging the user's input. */
+int report_error(lmg_result result, const lmg_error *err);
+/* The same for what comes from writing results. */
+int report_failure(const lmg_error *err);
+
+/* Prints "error: ..." and where help is, and exits with EXIT_USAGE. */
+_Noreturn void usage_error(const struct argp_state *state, const char *format, ...) __attribute__((format(printf, 2, 3)));
+
+/* Values of options; they end in usage_error when the text isn't one. */
+double argument_number(const struct argp_state *state, const char *option, const char *text, double least, double most);
+uint64_t argument_count(const struct argp_state *state, const char *option, const char *text, uint64_t least, uint64_t most); /* "1e8" */
+double argument_seconds(const struct argp_state *state, const char *option, const char *text);                               /* "90s" "2m" "1h" */
+double argument_lumens(const struct argp_state *state, const char *option, const char *text);                                /* "800lm" */
+
+/* A lamp with its recipe, as the options --recipe, --no-recipe and --set describe it. */
+typedef struct lamp_options {
+    const char *path;
+    const char *recipe_path; /* NULL: LAMP.recipe.json beside the model, if there is one */
+    bool no_recipe;
+    size_t set_count;
+    const char *sets[64];
+} lamp_options;
+
+/* The recipe that belongs to a lamp: found (true) and its path. */
+bool lamp_recipe_path(const lamp_options *lamp, char path[1024]);
+
+/* Loads the model with recipe and shorthands.  *text: the recipe as compact JSON, or NULL; to be freed.  used: the recipe file's path or "". */
+lmg_result lamp_load(const lamp_options *lamp, struct lum_model **out, char **text, char used[1024], lmg_error *err);
+
+/* Ctrl-C and SIGTERM: the first sets the flag that this returns, the second ends the program at once with EXIT_INTERRUPTED. */
+const volatile sig_atomic_t *catch_interrupts(void);
+
+/* Prints a JSON object with a newline and releases it; false if stdout doesn't take it. */
+bool print_json(json_t *object);
+
+/* A JSON number; null when it isn't finite. */
+json_t *json_number(double value);
+
+#endif
