@@ -656,7 +656,7 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
     out->pdf = emitters->patches[i].power / emitters->flux_all * d2 / (area * fabs(cosine));
     out->delta = false;
     emission_at(emitters->model, t->triangle, b1, b2, out->radiance);
-    return out->pdf > 0 && out->pdf < INFINITY && lmg_luminance(out->radiance) > 0;
+    return out->pdf > 0 && out->pdf < (double)INFINITY && lmg_luminance(out->radiance) > 0;
 }
 
 double lum_emitters_point_pdf(const lum_emitters *emitters, lmg_vec3 p, const lum_hit *hit)

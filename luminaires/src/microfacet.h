@@ -79,7 +79,7 @@ double lum_lobe_albedo(lum_lobe_kind kind, double alpha, double eta, double mu, 
 static inline double ggx_lambda(double alpha, double z, double s2)
 {
     double z2 = z * z;
-    return z2 > 0 ? 0.5 * (sqrt(1 + alpha * alpha * s2 / z2) - 1) : INFINITY;
+    return z2 > 0 ? 0.5 * (sqrt(1 + alpha * alpha * s2 / z2) - 1) : (double)INFINITY;
 }
 
 /* D(m); the sum is of positive terms, so that narrow lobes keep their precision. */

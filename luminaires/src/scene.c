@@ -191,7 +191,7 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
     lmg_vec3 s = vec_sub(o, a), p = vec_cross(d, e2), q = vec_cross(s, e1);
     double inverse = 1 / vec_dot(e1, p); /* infinite for a ray in the plane: the comparisons below then fail */
     double b1 = vec_dot(s, p) * inverse, b2 = vec_dot(d, q) * inverse, t = vec_dot(e2, q) * inverse;
-    if (!(t > 0 && t < INFINITY)) {
+    if (!(t > 0 && t < (double)INFINITY)) {
         return false;
     }
     double margin = (double)tri->margin, b0 = 1 - b1 - b2;
