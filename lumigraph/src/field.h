@@ -37,11 +37,13 @@ lmg_result lmg_field_allocate(const lmg_layout *layout, lmg_field **out, lmg_err
 /* sample.c: (re)computes slab fluxes and builds the sampler from the cells; to be called once the cells are final. */
 lmg_result lmg_field_prepare(lmg_field *field, lmg_error *err);
 void lmg_sampler_destroy(lmg_sampler *sampler);
+size_t lmg_sampler_memory(const lmg_sampler *sampler);
 
 /* geometry.c: the slab that owns a ray (first that contains it), or -1; coordinates of the ray there. */
 int lmg_layout_owner(const lmg_layout *layout, lmg_vec3 origin, lmg_vec3 direction, double uvst[4]);
 
-/* geometry.c: etendue of a cell without the parts that slabs of higher priority own; lmg_slab_cell_etendue where none overlaps. */
+/* etendue.c: etendue of a cell without the parts that slabs of higher priority own or whose lines miss the bounds;
+ * lmg_slab_cell_etendue where there are none.  Slow; etendue.h serves many cells. */
 double lmg_layout_cell_etendue(const lmg_layout *layout, uint32_t slab, uint32_t iu, uint32_t iv, uint32_t is, uint32_t it);
 
 /* geometry.c: FNV-1a 64 over bytes, continued from hash (start with 0xcbf29ce484222325). */

@@ -9,6 +9,7 @@
  */
 #include "exr_check.h"
 #include "field.h"
+#include "io_exr.h"
 
 #include <openexr.h>
 
@@ -483,7 +484,6 @@ static exr_context_initializer_t context_initializer(stream *s)
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = stream_error;
     init.user_data = s;
-    init.zip_level = ZIP_LEVEL;
     init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
     return init;
 }
@@ -769,62 +769,74 @@ typedef struct decoder {
 
 _Static_assert(sizeof(decoder) <= WORK_SCRATCH, "a thread's scratch space holds its decoder");
 
+/* Decompresses a tile into the decoder's buffer. */
+static exr_result_t decode(const reader *r, decoder *d, int part, const exr_chunk_info_t *chunk)
+{
+    exr_result_t exr;
+    if (d->started && d->part != part) {
+        exr_decoding_destroy(r->context, &d->pipeline);
+        memset(d, 0, sizeof *d);
+    }
+    if (d->started) {
+        exr = exr_decoding_update(r->context, part, chunk, &d->pipeline);
+    } else {
+        exr = exr_decoding_initialize(r->context, part, chunk, &d->pipeline);
+        d->started = exr == EXR_ERR_SUCCESS;
+        d->part = part;
+        if (d->started) {
+            exr = exr_decoding_choose_default_routines(r->context, part, &d->pipeline);
+            d->pipeline.unpack_and_convert_fn = NULL; /* read_tile sorts the channels into our arrays */
+        }
+    }
+    if (exr == EXR_ERR_SUCCESS) {
+        exr = exr_decoding_run(r->context, part, &d->pipeline);
+    }
+    if (exr == EXR_ERR_SUCCESS && (d->pipeline.unpacked_buffer == NULL || d->pipeline.unpacked_alloc_size < chunk->unpacked_size)) {
+        exr = EXR_ERR_CORRUPT_CHUNK;
+    }
+    return exr;
+}
+
 static lmg_result read_tile(reader *r, decoder *d, uint32_t slab, uint64_t tile_in_slab, lmg_error *err)
 {
     const lmg_slab *s = &r->layout.slabs[slab];
     lmg_slab_data *data = &r->field->slabs[slab];
     const int part = (int)slab, column = (int)(tile_in_slab % s->nu), row = (int)(tile_in_slab / s->nu);
+    const uint64_t cells = tile_cells(s), channels = r->layout.channels, first = tile_in_slab * cells;
     exr_chunk_info_t chunk;
     exr_result_t exr = exr_read_tile_chunk_info(r->context, part, column, row, 0, 0, &chunk);
-    if (exr == EXR_ERR_SUCCESS && d->started && d->part != part) {
-        exr_decoding_destroy(r->context, &d->pipeline);
-        memset(d, 0, sizeof *d);
-    }
-    if (exr == EXR_ERR_SUCCESS) {
-        if (d->started) {
-            exr = exr_decoding_update(r->context, part, &chunk, &d->pipeline);
-        } else {
-            exr = exr_decoding_initialize(r->context, part, &chunk, &d->pipeline);
-            d->started = exr == EXR_ERR_SUCCESS;
-            d->part = part;
-            if (d->started) {
-                exr = exr_decoding_choose_default_routines(r->context, part, &d->pipeline);
-                d->pipeline.unpack_and_convert_fn = NULL; /* we sort the channels into our arrays below */
-            }
-        }
-    }
-    const uint64_t cells = tile_cells(s), channels = r->layout.channels, first = tile_in_slab * cells;
-    if (exr == EXR_ERR_SUCCESS && chunk.unpacked_size != cells * (channels + 2) * sizeof(float)) {
+    if (exr == EXR_ERR_SUCCESS && (chunk.unpacked_size != cells * (channels + 2) * sizeof(float) || chunk.data_offset > r->stream.size ||
+                                   chunk.packed_size > r->stream.size - chunk.data_offset)) {
         exr = EXR_ERR_CORRUPT_CHUNK;
     }
-    if (exr == EXR_ERR_SUCCESS) {
-        exr = exr_decoding_run(r->context, part, &d->pipeline);
-    }
-    if (exr == EXR_ERR_SUCCESS && (d->pipeline.unpacked_buffer == NULL || d->pipeline.unpacked_alloc_size < chunk.unpacked_size)) {
-        exr = EXR_ERR_CORRUPT_CHUNK;
+    const unsigned char *from = NULL;
+    if (exr == EXR_ERR_SUCCESS && chunk.packed_size == chunk.unpacked_size) { /* stored as it is: nothing to decode */
+        from = r->stream.bytes + chunk.data_offset;
+    } else if (exr == EXR_ERR_SUCCESS) {
+        exr = decode(r, d, part, &chunk);
+        from = d->pipeline.unpacked_buffer;
     }
     if (exr != EXR_ERR_SUCCESS) {
         return fail_exr(err, LMG_ERROR_FILE_READ, &r->stream, r->where, "damaged: a tile can't be decoded", exr);
     }
     /* a line of the tile holds its channels one after the other, sorted by name: B, G, R or Y, then half_a.Y, stderr.Y */
-    const float *from = d->pipeline.unpacked_buffer;
+    const size_t line_bytes = s->ns * sizeof(float);
     for (uint32_t it = 0; it < s->nt; it++) {
         const uint64_t line = first + (uint64_t)it * s->ns;
-        if (channels == 1) {
-            memcpy(data->radiance + line, from, s->ns * sizeof(float));
-        } else {
-            float *rgb = data->radiance + 3 * line;
-            for (uint32_t is = 0; is < s->ns; is++) {
-                rgb[3 * is + 2] = from[is];
-                rgb[3 * is + 1] = from[s->ns + is];
-                rgb[3 * is] = from[2 * (size_t)s->ns + is];
+        for (uint32_t c = 0; c < channels; c++) {
+            if (channels == 1) {
+                memcpy(data->radiance + line, from, line_bytes);
+            } else {
+                float *to = data->radiance + 3 * line + (2 - c);
+                for (uint32_t is = 0; is < s->ns; is++) {
+                    memcpy(to + 3 * (size_t)is, from + is * sizeof(float), sizeof(float));
+                }
             }
+            from += line_bytes;
         }
-        from += channels * s->ns;
-        memcpy(data->half_a + line, from, s->ns * sizeof(float));
-        from += s->ns;
-        memcpy(data->standard_error + line, from, s->ns * sizeof(float));
-        from += s->ns;
+        memcpy(data->half_a + line, from, line_bytes);
+        memcpy(data->standard_error + line, from + line_bytes, line_bytes);
+        from += 2 * line_bytes;
     }
     if (!tile_is_sound(&r->tiles, slab, tile_in_slab)) {
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: part %d, tile %d,%d holds a value that is no finite number, or a negative standard error",
@@ -1007,6 +1019,8 @@ typedef struct writer {
     stream stream;
     const char *where;
     const lmg_field *field;
+    exr_compression_t compression;
+    int level;
     tiles tiles;
     packed_tile *packed; /* tiles.end - tiles.first of them */
 } writer;
@@ -1024,12 +1038,19 @@ _Static_assert(sizeof(encoder) <= WORK_SCRATCH, "a thread's scratch space holds 
 static exr_result_t keep_packed(exr_encode_pipeline_t *pipeline)
 {
     packed_tile *target = ((encoder *)pipeline->encoding_user_data)->target;
+    const void *bytes = pipeline->compressed_buffer;
     target->size = pipeline->compressed_bytes;
+    /* No compression, or none gained.  When deflating ends at just the unpacked size, OpenEXRCore 3.1.5 hands over the deflated bytes,
+     * which every reader would take for unpacked ones. */
+    if (bytes == NULL || target->size == 0 || target->size >= pipeline->packed_bytes) {
+        bytes = pipeline->packed_buffer;
+        target->size = pipeline->packed_bytes;
+    }
     target->bytes = malloc(target->size);
     if (target->bytes == NULL) {
         return EXR_ERR_OUT_OF_MEMORY;
     }
-    memcpy(target->bytes, pipeline->compressed_buffer, target->size);
+    memcpy(target->bytes, bytes, target->size);
     return EXR_ERR_SUCCESS;
 }
 
@@ -1183,7 +1204,7 @@ static void set_part(writer *w, attribute_setter *s, uint32_t slab, int32_t disp
     display.max.y = display_height - 1;
     const exr_attr_v2f_t center = {.x = 0, .y = 0};
     note(s, exr_initialize_required_attr(s->context, s->part, &display, &data, 1.0f, &center, 1.0f, EXR_LINEORDER_INCREASING_Y,
-                                         EXR_COMPRESSION_ZIP));
+                                         w->compression));
     static const char *const one[] = {"Y", "half_a.Y", "stderr.Y"}, *const three[] = {"B", "G", "R", "half_a.Y", "stderr.Y"};
     for (uint32_t c = 0; c < l->channels + 2; c++) {
         note(s, exr_add_channel(s->context, s->part, l->channels == 1 ? one[c] : three[c], EXR_PIXEL_FLOAT, EXR_PERCEPTUALLY_LINEAR, 1, 1));
@@ -1318,6 +1339,7 @@ static lmg_result write_exr(writer *w, const char *path, lmg_error *err)
     if (result == LMG_OK) {
         exr_context_initializer_t init = context_initializer(&w->stream);
         init.write_fn = stream_write;
+        init.zip_level = w->level;
         exr_result_t exr = exr_start_write(&w->context, w->where, EXR_WRITE_FILE_DIRECTLY, &init);
         if (exr != EXR_ERR_SUCCESS) {
             result = fail_exr(err, LMG_ERROR_FILE_WRITE, &w->stream, w->where, "can't start writing", exr);
@@ -1390,6 +1412,11 @@ static void sync_directory(const char *path)
 
 lmg_result lmg_field_write(const lmg_field *field, const char *path, lmg_error *err)
 {
+    return lmg_field_write_as(field, path, LMG_EXR_ZIP, ZIP_LEVEL, err);
+}
+
+lmg_result lmg_field_write_as(const lmg_field *field, const char *path, lmg_exr_compression compression, int level, lmg_error *err)
+{
     if (field == NULL || path == NULL || path[0] == 0) {
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "lmg_field_write: no field or no path");
     }
@@ -1408,6 +1435,8 @@ lmg_result lmg_field_write(const lmg_field *field, const char *path, lmg_error *
     }
     w->field = field;
     w->where = where.text;
+    w->compression = compression == LMG_EXR_NONE ? EXR_COMPRESSION_NONE : compression == LMG_EXR_ZIPS ? EXR_COMPRESSION_ZIPS : EXR_COMPRESSION_ZIP;
+    w->level = level;
     if (pthread_mutex_init(&w->stream.lock, NULL) != 0) {
         free(w);
         return lmg_fail(err, LMG_ERROR_MEMORY, "%s: can't make a lock", where.text);

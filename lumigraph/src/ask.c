@@ -1,0 +1,300 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Asking a field: radiance along a ray, illuminance at a point, intensity in a direction.  All three see the same thing: radiance constant
+ * within a cell, in the rays that the cell's slab owns and that come out of the bounds.
+ */
+#include "sampler.h"
+
+#include <stdlib.h>
+
+/* --------------------------------------------------------------------------------------------------------- radiance */
+
+/* Multilinear between the centres of the cells around; beyond the outermost centres it stays constant. */
+static void linear(const lmg_field *field, int j, const double uvst[4], float rgb[3], float *standard_error)
+{
+    const lmg_slab *slab = &field->layout.slabs[j];
+    const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, *scale = field->sampler->plan.scale[j];
+    const uint32_t n[4] = {slab->nu, slab->nv, slab->ns, slab->nt};
+    uint64_t i0[4], i1[4];
+    double f[4], sum[3] = {0}, variance = 0;
+    for (int k = 0; k < 4; k++) {
+        double x = d_clamp((uvst[k] - low[k]) * scale[k] - 0.5, 0, n[k] - 1);
+        i0[k] = (uint64_t)x;
+        i1[k] = i0[k] + 1 < n[k] ? i0[k] + 1 : i0[k];
+        f[k] = x - (double)i0[k];
+    }
+    for (int corner = 0; corner < 16; corner++) {
+        uint64_t i[4];
+        double w = 1;
+        for (int k = 0; k < 4; k++) {
+            bool up = corner >> k & 1;
+            i[k] = up ? i1[k] : i0[k];
+            w *= up ? f[k] : 1 - f[k];
+        }
+        if (w == 0)
+            continue;
+        uint64_t cell = ((i[1] * slab->nu + i[0]) * slab->nt + i[3]) * slab->ns + i[2];
+        float c[3];
+        lmg_cell_rgb(field, (uint32_t)j, cell, c);
+        for (int k = 0; k < 3; k++)
+            sum[k] += w * (double)c[k];
+        double se = (double)field->slabs[j].standard_error[cell];
+        variance += w * w * se * se;
+    }
+    for (int k = 0; k < 3; k++)
+        rgb[k] = (float)sum[k];
+    if (standard_error)
+        *standard_error = (float)sqrt(variance);
+}
+
+void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction, lmg_filter filter, float rgb[3],
+                        float *standard_error)
+{
+    double uvst[4];
+    rgb[0] = rgb[1] = rgb[2] = 0;
+    if (standard_error)
+        *standard_error = 0;
+    const lmg_plan *plan = &field->sampler->plan;
+    int j = lmg_plan_owner(plan, origin, direction, uvst);
+    if (j < 0)
+        return;
+    const lmg_slab *slab = &field->layout.slabs[j];
+    if (!lmg_downstream(&field->layout, origin, direction, v_dot(v_sub(origin, slab->o), slab->n)))
+        return;
+    if (filter == LMG_LINEAR) {
+        linear(field, j, uvst, rgb, standard_error);
+        return;
+    }
+    uint64_t cell = lmg_plan_cell(plan, j, uvst);
+    lmg_cell_rgb(field, (uint32_t)j, cell, rgb);
+    if (standard_error)
+        *standard_error = field->slabs[j].standard_error[cell];
+}
+
+bool lmg_field_enter(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction, double *t)
+{
+    double k0, k1;
+    if (!lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, origin, direction, &k0, &k1) || !(k0 > 0))
+        return false;
+    *t = k0;
+    return true;
+}
+
+/* ------------------------------------------------------------------------------- sums over cells with standard errors */
+
+/* Weights of cells, summed per cell, so that the standard error counts each cell once.  Open addressing, grows by doubling. */
+typedef struct cell_weights {
+    uint64_t *key; /* cell + 1; 0 = free */
+    double *weight;
+    uint32_t *used; /* places taken, in order of arrival, so that sums don't depend on the table's size */
+    size_t room, count;
+} cell_weights;
+
+static void weights_free(cell_weights *w)
+{
+    free(w->key);
+    free(w->weight);
+    free(w->used);
+}
+
+static bool weights_resize(cell_weights *w, size_t room)
+{
+    cell_weights n = {calloc(room, sizeof *n.key), calloc(room, sizeof *n.weight), malloc(room * sizeof *n.used), room, 0};
+    if (!n.key || !n.weight || !n.used) {
+        weights_free(&n);
+        return false;
+    }
+    for (size_t i = 0; i < w->count; i++) {
+        uint64_t key = w->key[w->used[i]];
+        size_t at = (size_t)(key * 0x9e3779b97f4a7c15u >> 20) & (room - 1);
+        while (n.key[at])
+            at = (at + 1) & (room - 1);
+        n.key[at] = key;
+        n.weight[at] = w->weight[w->used[i]];
+        n.used[n.count++] = (uint32_t)at;
+    }
+    weights_free(w);
+    *w = n;
+    return true;
+}
+
+static bool weights_add(cell_weights *w, uint64_t cell, double weight)
+{
+    if (2 * (w->count + 1) > w->room && !weights_resize(w, w->room ? 2 * w->room : 256))
+        return false;
+    uint64_t key = cell + 1;
+    size_t at = (size_t)(key * 0x9e3779b97f4a7c15u >> 20) & (w->room - 1);
+    while (w->key[at] && w->key[at] != key)
+        at = (at + 1) & (w->room - 1);
+    if (!w->key[at]) {
+        w->key[at] = key;
+        w->used[w->count++] = (uint32_t)at;
+    }
+    w->weight[at] += weight;
+    return true;
+}
+
+/* Adds weight x radiance of slab j's gathered cells to rgb and the variance, and empties the table. */
+static void weights_flush(cell_weights *w, const lmg_field *field, uint32_t j, double rgb[3], double *variance)
+{
+    for (size_t i = 0; i < w->count; i++) {
+        size_t at = w->used[i];
+        uint64_t cell = w->key[at] - 1;
+        double weight = w->weight[at], se = (double)field->slabs[j].standard_error[cell];
+        float c[3];
+        lmg_cell_rgb(field, j, cell, c);
+        for (int k = 0; k < 3; k++)
+            rgb[k] += weight * (double)c[k];
+        *variance += weight * se * weight * se;
+        w->key[at] = 0;
+        w->weight[at] = 0;
+    }
+    w->count = 0;
+}
+
+/* Pieces into which a (u,v) cell is cut for the midpoint rule. */
+enum { MAX_PIECES = 256 };
+
+/*
+ * Illuminance from one slab.  dE = L cos(receiver) cos(plane) / r^2 du dv.  Each (u,v) cell is cut into pieces small beside its distance
+ * (the geometry factor) and beside the (s,t) cells as seen from the point (the radiance), and each piece counts with its middle.
+ */
+static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_vec3 point, lmg_vec3 normal, double rgb[3], double *variance,
+                                      cell_weights *weights, lmg_error *err)
+{
+    const lmg_slab *slab = &field->layout.slabs[j];
+    const lmg_etendue *e = &field->sampler->etendue[j];
+    const lmg_plan *plan = &field->sampler->plan;
+    lmg_vec3 w = v_sub(point, slab->o);
+    double h = v_dot(w, slab->n), pu = v_dot(w, slab->a), pv = v_dot(w, slab->b);
+    if (!(h > 0) || field->slabs[j].flux == 0)
+        return LMG_OK;
+    /* cube slabs: only the part of the plane seen at slopes up to 1 */
+    double reach = slab->kind == LMG_SLAB_CUBE ? h : (double)INFINITY;
+    double du = 1 / plan->scale[j][0], dv = 1 / plan->scale[j][1];
+    /* width of an (s,t) cell as a slope (aperture: as a direction cosine, which changes less than the slope does) */
+    double ds = 1 / plan->scale[j][2], dt = 1 / plan->scale[j][3], per_slope = 1;
+    if (slab->kind == LMG_SLAB_CUBE && isfinite(slab->distance))
+        per_slope = slab->distance;
+    for (uint32_t iv = 0; iv < slab->nv; iv++)
+        for (uint32_t iu = 0; iu < slab->nu; iu++) {
+            double u0 = fmax(slab->u0 + iu * du, pu - reach), u1 = fmin(slab->u0 + (iu + 1) * du, pu + reach);
+            double v0 = fmax(slab->v0 + iv * dv, pv - reach), v1 = fmin(slab->v0 + (iv + 1) * dv, pv + reach);
+            if (!(u1 > u0 && v1 > v0))
+                continue;
+            double cu = d_clamp(pu, u0, u1) - pu, cv = d_clamp(pv, v0, v1) - pv;
+            double nearest = sqrt(h * h + cu * cu + cv * cv);
+            /* at most 1/8 of the distance; at most 1/3 of an (s,t) cell; always 2 */
+            double pieces_u = fmax((u1 - u0) / nearest * 8, (u1 - u0) / h * per_slope / ds * 3);
+            double pieces_v = fmax((v1 - v0) / nearest * 8, (v1 - v0) / h * per_slope / dt * 3);
+            if (slab->kind == LMG_SLAB_APERTURE) {
+                pieces_u = fmax((u1 - u0) / nearest * 8, (u1 - u0) / nearest / ds * 3);
+                pieces_v = fmax((v1 - v0) / nearest * 8, (v1 - v0) / nearest / dt * 3);
+            }
+            int nu = (int)d_clamp(ceil(pieces_u), 2, MAX_PIECES), nv = (int)d_clamp(ceil(pieces_v), 2, MAX_PIECES);
+            double piece = (u1 - u0) / nu * ((v1 - v0) / nv);
+            for (int y = 0; y < nv; y++)
+                for (int x = 0; x < nu; x++) {
+                    double u = u0 + (u1 - u0) * (x + 0.5) / nu, v = v0 + (v1 - v0) * (y + 0.5) / nv;
+                    lmg_vec3 from = v_fma(v_fma(slab->o, u, slab->a), v, slab->b), d = v_sub(point, from);
+                    double facing = -v_dot(d, normal);
+                    if (!(facing > 0))
+                        continue;
+                    double uvst[4] = {u, v, 0, 0};
+                    lmg_slab_st(slab, d, h, u, v, &uvst[2], &uvst[3]);
+                    if (!lmg_in_st(slab, uvst[2], slab->s0, slab->s1) || !lmg_in_st(slab, uvst[3], slab->t0, slab->t1))
+                        continue;
+                    if (e->higher_count) {
+                        double own[4];
+                        if (lmg_plan_owner(plan, from, d, own) != (int)j)
+                            continue;
+                    }
+                    if (!lmg_downstream(&field->layout, point, d, h))
+                        continue;
+                    double r2 = v_dot(d, d);
+                    uint64_t is = lmg_cell_of(uvst[2], slab->s0, plan->scale[j][2], slab->ns);
+                    uint64_t it = lmg_cell_of(uvst[3], slab->t0, plan->scale[j][3], slab->nt);
+                    uint64_t cell = (((uint64_t)iv * slab->nu + iu) * slab->nt + it) * slab->ns + is;
+                    if (!weights_add(weights, cell, piece * facing * h / (r2 * r2)))
+                        return lmg_fail(err, LMG_ERROR_MEMORY, "illuminance: no memory");
+                }
+            weights_flush(weights, field, j, rgb, variance);
+        }
+    return LMG_OK;
+}
+
+lmg_result lmg_field_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, double rgb[3], double *standard_error,
+                                 lmg_error *err)
+{
+    double variance = 0;
+    cell_weights weights = {0};
+    rgb[0] = rgb[1] = rgb[2] = 0;
+    if (standard_error)
+        *standard_error = 0;
+    if (!v_finite(point) || !(fabs(v_length(normal) - 1) < 1e-6))
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "illuminance: the point must be finite and the normal (%g %g %g) of length 1", normal.x, normal.y,
+                        normal.z);
+    lmg_result r = LMG_OK;
+    for (uint32_t j = 0; r == LMG_OK && j < field->layout.slab_count; j++)
+        r = illuminance_of_slab(field, j, point, normal, rgb, &variance, &weights, err);
+    weights_free(&weights);
+    if (r == LMG_OK && standard_error)
+        *standard_error = sqrt(variance);
+    return r;
+}
+
+lmg_result lmg_field_intensity(const lmg_field *field, lmg_vec3 direction, double rgb[3], double *standard_error, lmg_error *err)
+{
+    double variance = 0;
+    cell_weights weights = {0};
+    lmg_result r = LMG_OK;
+    rgb[0] = rgb[1] = rgb[2] = 0;
+    if (standard_error)
+        *standard_error = 0;
+    if (!(fabs(v_length(direction) - 1) < 1e-6))
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "intensity: the direction (%g %g %g) must have length 1", direction.x, direction.y, direction.z);
+    const lmg_plan *plan = &field->sampler->plan;
+    int class = lmg_direction_class(direction);
+    for (uint32_t j = 0; j < field->layout.slab_count; j++) {
+        const lmg_slab *slab = &field->layout.slabs[j];
+        const lmg_etendue *e = &field->sampler->etendue[j];
+        double dn = v_dot(direction, slab->n);
+        if (!(dn > 0) || field->slabs[j].flux == 0 || (slab->kind == LMG_SLAB_CUBE && class != lmg_direction_class(slab->n)))
+            continue;
+        /* one direction: a cell counts with its whole (u,v) area, unless others own parts of it or (s,t) varies across it */
+        bool whole = lmg_etendue_is_full(e) && (slab->kind == LMG_SLAB_APERTURE || isinf(slab->distance));
+        int pieces = whole ? 1 : 8;
+        double piece = 1 / (plan->scale[j][0] * plan->scale[j][1] * pieces * pieces);
+        for (uint32_t iv = 0; iv < slab->nv; iv++)
+            for (uint32_t iu = 0; iu < slab->nu; iu++) {
+                for (int k = 0; k < pieces * pieces; k++) {
+                    double u = slab->u0 + (iu + (k % pieces + 0.5) / pieces) / plan->scale[j][0];
+                    double v = slab->v0 + (iv + (k / pieces + 0.5) / pieces) / plan->scale[j][1];
+                    double uvst[4], k0, k1;
+                    lmg_vec3 from = v_fma(v_fma(slab->o, u, slab->a), v, slab->b);
+                    if (whole) {
+                        uvst[0] = u;
+                        uvst[1] = v;
+                        lmg_slab_st(slab, direction, dn, u, v, &uvst[2], &uvst[3]);
+                        if (!lmg_in_st(slab, uvst[2], slab->s0, slab->s1) || !lmg_in_st(slab, uvst[3], slab->t0, slab->t1))
+                            continue;
+                    } else if (lmg_plan_owner(plan, from, direction, uvst) != (int)j ||
+                               !lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, from, direction, &k0, &k1))
+                        continue;
+                    uint64_t is = lmg_cell_of(uvst[2], slab->s0, plan->scale[j][2], slab->ns);
+                    uint64_t it = lmg_cell_of(uvst[3], slab->t0, plan->scale[j][3], slab->nt);
+                    uint64_t cell = (((uint64_t)iv * slab->nu + iu) * slab->nt + it) * slab->ns + is;
+                    if (!weights_add(&weights, cell, piece * dn)) {
+                        r = lmg_fail(err, LMG_ERROR_MEMORY, "intensity: no memory");
+                        goto cleanup;
+                    }
+                }
+                weights_flush(&weights, field, j, rgb, &variance);
+            }
+    }
+    if (standard_error)
+        *standard_error = sqrt(variance);
+cleanup:
+    weights_free(&weights);
+    return r;
+}

@@ -1,0 +1,209 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Geometry of slabs for the files of this library only: the arithmetic that places a ray, written once and inlined wherever speed
+ * counts, so that depositing, looking up and sampling agree to the bit on whose cell a ray is.
+ */
+#ifndef LUMIGRAPH_GEOMETRY_H
+#define LUMIGRAPH_GEOMETRY_H
+
+#include "vec.h"
+
+/*
+ * Which of the six classes a direction is in: 2 * axis + (component negative), axis being the one of the largest component by
+ * magnitude; equal components: the lowest axis wins, so that every direction is in exactly one class.  -1 for zero or NaN.
+ */
+static inline int lmg_direction_class(lmg_vec3 d)
+{
+    double ax = fabs(d.x), ay = fabs(d.y), az = fabs(d.z);
+    if (ax >= ay && ax >= az)
+        return ax > 0 ? (d.x < 0) : -1;
+    if (ay >= az)
+        return 2 + (d.y < 0);
+    return az > 0 ? 4 + (d.z < 0) : -1;
+}
+
+/* Concentric map between disc and square [Shirley and Chiu 1997]; the square's horizontal and vertical wedges are those of |s| >= |t| and the rest. */
+static inline void lmg_disc_to_square(double x, double y, double *s, double *t)
+{
+    double r = sqrt(x * x + y * y);
+    if (r > 1)
+        r = 1; /* rounding: the components of a unit vector square to 1 + 4 eps at most */
+    if (fabs(x) >= fabs(y)) {
+        double rs = x < 0 ? -r : r;
+        *s = rs;
+        *t = x != 0 ? rs * (4 / LMG_PI) * atan(y / x) : 0;
+    } else {
+        double rt = y < 0 ? -r : r;
+        *s = rt * (4 / LMG_PI) * atan(x / y);
+        *t = rt;
+    }
+}
+
+/* Inverse; *z is the third direction cosine, stable near the rim. */
+static inline void lmg_square_to_disc(double s, double t, double *x, double *y, double *z)
+{
+    double r;
+    if (fabs(s) >= fabs(t)) {
+        double phi = s != 0 ? LMG_PI / 4 * (t / s) : 0;
+        r = s;
+        *x = r * cos(phi);
+        *y = r * sin(phi);
+    } else {
+        double phi = LMG_PI / 4 * (s / t);
+        r = t;
+        *x = r * sin(phi);
+        *y = r * cos(phi);
+    }
+    double z2 = (1 - r) * (1 + r);
+    *z = z2 > 0 ? sqrt(z2) : 0;
+}
+
+/* Crossing of a ray's line with the (u,v) plane; dn = d . n, not zero. */
+static inline void lmg_slab_crossing(const lmg_slab *slab, lmg_vec3 origin, lmg_vec3 d, double dn, double *u, double *v)
+{
+    lmg_vec3 w = v_sub(origin, slab->o);
+    double k = -v_dot(w, slab->n) / dn;
+    *u = v_dot(w, slab->a) + k * v_dot(d, slab->a);
+    *v = v_dot(w, slab->b) + k * v_dot(d, slab->b);
+}
+
+/* (s,t) of a line through (u,v) with direction d. */
+static inline void lmg_slab_st(const lmg_slab *slab, lmg_vec3 d, double dn, double u, double v, double *s, double *t)
+{
+    if (slab->kind == LMG_SLAB_APERTURE) {
+        double inv = 1 / sqrt(v_dot(d, d));
+        lmg_disc_to_square(v_dot(d, slab->a) * inv, v_dot(d, slab->b) * inv, s, t);
+    } else {
+        double p = v_dot(d, slab->a) / dn, q = v_dot(d, slab->b) / dn;
+        if (isinf(slab->distance)) {
+            *s = p;
+            *t = q;
+        } else {
+            *s = u + slab->distance * p;
+            *t = v + slab->distance * q;
+        }
+    }
+}
+
+/* Whether x is in [lo, hi), or at hi where that's the end of the coordinate's domain (1 for slopes and squares): nothing lies beyond. */
+static inline bool lmg_in_st(const lmg_slab *slab, double x, double lo, double hi)
+{
+    return x >= lo && (x < hi || (x == hi && hi == 1 && (slab->kind == LMG_SLAB_APERTURE || isinf(slab->distance))));
+}
+
+/* Same plane, axes, kind and second plane, so that coordinates in one are coordinates in the other. */
+static inline bool lmg_same_frame(const lmg_slab *x, const lmg_slab *y)
+{
+    return x->kind == y->kind && x->o.x == y->o.x && x->o.y == y->o.y && x->o.z == y->o.z && x->a.x == y->a.x && x->a.y == y->a.y &&
+           x->a.z == y->a.z && x->b.x == y->b.x && x->b.y == y->b.y && x->b.z == y->b.z && x->n.x == y->n.x && x->n.y == y->n.y &&
+           x->n.z == y->n.z && (x->kind == LMG_SLAB_APERTURE || x->distance == y->distance);
+}
+
+static inline uint64_t lmg_slab_cells(const lmg_slab *slab)
+{
+    return (uint64_t)slab->nu * slab->nv * slab->ns * slab->nt;
+}
+
+/* Index of a coordinate's cell; x is in [lo, lo + cells/scale], where rounding may give `cells` just below the upper border. */
+static inline uint32_t lmg_cell_of(double x, double lo, double scale, uint32_t cells)
+{
+    uint32_t i = (uint32_t)((x - lo) * scale);
+    return i < cells ? i : cells - 1;
+}
+
+/* A layout made ready for placing many rays: for each direction class the slabs that could own a ray, in order of priority. */
+typedef struct lmg_plan {
+    const lmg_layout *layout;
+    uint8_t count[6];
+    uint8_t list[6][LMG_MAX_SLABS];
+    uint8_t frame[LMG_MAX_SLABS]; /* slabs with the same number share their coordinates */
+    double scale[LMG_MAX_SLABS][4]; /* cells per unit of u,v,s,t */
+    uint64_t first[LMG_MAX_SLABS + 1]; /* cells in the slabs before */
+} lmg_plan;
+
+/* layout is kept (borrowed). */
+void lmg_plan_prepare(lmg_plan *plan, const lmg_layout *layout);
+
+/* The slab that owns a ray, or -1, with the ray's coordinates in it. */
+static inline int lmg_plan_owner(const lmg_plan *plan, lmg_vec3 origin, lmg_vec3 d, double uvst[4])
+{
+    int c = lmg_direction_class(d);
+    uvst[0] = uvst[1] = uvst[2] = uvst[3] = 0;
+    if (c < 0)
+        return -1;
+    int frame = -1;
+    bool in_half = false, have_st = false;
+    for (uint32_t k = 0; k < plan->count[c]; k++) {
+        int j = plan->list[c][k];
+        const lmg_slab *slab = &plan->layout->slabs[j];
+        if (plan->frame[j] != frame) {
+            frame = plan->frame[j];
+            have_st = false;
+            double dn = v_dot(d, slab->n);
+            in_half = dn > 0;
+            if (in_half)
+                lmg_slab_crossing(slab, origin, d, dn, &uvst[0], &uvst[1]);
+        }
+        if (!in_half || !(uvst[0] >= slab->u0 && uvst[0] < slab->u1 && uvst[1] >= slab->v0 && uvst[1] < slab->v1))
+            continue;
+        if (!have_st) {
+            lmg_slab_st(slab, d, v_dot(d, slab->n), uvst[0], uvst[1], &uvst[2], &uvst[3]);
+            have_st = true;
+        }
+        if (lmg_in_st(slab, uvst[2], slab->s0, slab->s1) && lmg_in_st(slab, uvst[3], slab->t0, slab->t1))
+            return j;
+    }
+    return -1;
+}
+
+/* Cell number within its slab of coordinates in slab j. */
+static inline uint64_t lmg_plan_cell(const lmg_plan *plan, int j, const double uvst[4])
+{
+    const lmg_slab *slab = &plan->layout->slabs[j];
+    const double *scale = plan->scale[j];
+    uint64_t iu = lmg_cell_of(uvst[0], slab->u0, scale[0], slab->nu), iv = lmg_cell_of(uvst[1], slab->v0, scale[1], slab->nv);
+    uint64_t is = lmg_cell_of(uvst[2], slab->s0, scale[2], slab->ns), it = lmg_cell_of(uvst[3], slab->t0, scale[3], slab->nt);
+    return ((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is;
+}
+
+/* Where the line origin + k d is inside a box: [*k0, *k1]; false if nowhere.  d may have zero components. */
+static inline bool lmg_box_interval(lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 origin, lmg_vec3 d, double *k0, double *k1)
+{
+    double a = -INFINITY, b = INFINITY;
+    for (int i = 0; i < 3; i++) {
+        double x = v_axis(origin, i), dx = v_axis(d, i), l = v_axis(lo, i), h = v_axis(hi, i);
+        if (dx == 0) {
+            if (x < l || x > h)
+                return false;
+            continue;
+        }
+        double ka = (l - x) / dx, kb = (h - x) / dx;
+        if (ka > kb) {
+            double swap = ka;
+            ka = kb;
+            kb = swap;
+        }
+        a = ka > a ? ka : a;
+        b = kb < b ? kb : b;
+    }
+    *k0 = a;
+    *k1 = b;
+    return a <= b;
+}
+
+/*
+ * Whether a point on a ray is downstream, where light recorded for the ray's line has already come out of the luminaire.  Outside the
+ * bounds: going back along the ray one comes through the bounds.  Inside the bounds (a desk lamp's arm makes them large): the ray has
+ * crossed the slab's (u,v) plane, behind = distance along d from the plane to the point >= 0.
+ */
+static inline bool lmg_downstream(const lmg_layout *layout, lmg_vec3 point, lmg_vec3 d, double behind)
+{
+    double k0, k1;
+    if (!lmg_box_interval(layout->bounds_min, layout->bounds_max, point, d, &k0, &k1))
+        return false;
+    if (k1 <= 0)
+        return true;
+    return k0 < 0 && behind >= 0;
+}
+
+#endif

@@ -1,0 +1,231 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * What is derived from a field's cells, emission of rays and directions seen from a point.  Relies on etendue.c for the measure of cells
+ * and on geometry.h for who owns a ray.
+ */
+#include "memory.h"
+#include "sampler.h"
+
+#include <stdlib.h>
+
+size_t lmg_sampler_memory(const lmg_sampler *sampler)
+{
+    return sampler ? sizeof *sampler + (size_t)sampler->row_count * sizeof *sampler->rows : 0;
+}
+
+void lmg_sampler_destroy(lmg_sampler *sampler)
+{
+    if (!sampler)
+        return;
+    for (uint32_t j = 0; j < LMG_MAX_SLABS; j++)
+        lmg_etendue_release(&sampler->etendue[j]);
+    lmg_table_free(sampler->rows, (size_t)sampler->row_count * sizeof *sampler->rows);
+    free(sampler);
+}
+
+/* The row sums of slab j go on from *sum; its flux and error go into its data. */
+static void sum_slab(lmg_field *field, lmg_sampler *sampler, uint32_t j, double *sum)
+{
+    const lmg_slab *slab = &field->layout.slabs[j];
+    lmg_slab_data *data = &field->slabs[j];
+    const lmg_etendue *e = &sampler->etendue[j];
+    uint64_t cell = 0, row = sampler->first_row[j];
+    double flux = 0, variance = 0;
+    for (uint32_t iv = 0; iv < slab->nv; iv++)
+        for (uint32_t iu = 0; iu < slab->nu; iu++)
+            for (uint32_t it = 0; it < slab->nt; it++)
+                for (uint32_t is = 0; is < slab->ns; is++, cell++) {
+                    double l = lmg_cell_luminance(field, j, cell), se = (double)data->standard_error[cell];
+                    if (l != 0 || se != 0) {
+                        double g = lmg_etendue_effective(e, iu, iv, is, it);
+                        flux += l * g;
+                        variance += se * g * se * g;
+                        *sum += l > 0 ? l * g : 0;
+                    }
+                    if ((is + 1) % sampler->row_length[j] == 0)
+                        sampler->rows[row++] = *sum;
+                }
+    data->flux = flux;
+    data->flux_se = sqrt(variance);
+}
+
+lmg_result lmg_field_prepare(lmg_field *field, lmg_error *err)
+{
+    const lmg_layout *layout = &field->layout;
+    lmg_sampler_destroy(field->sampler);
+    field->sampler = NULL;
+    lmg_sampler *s = calloc(1, sizeof *s);
+    if (!s)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "field: no memory for its sampler");
+    lmg_plan_prepare(&s->plan, layout);
+    lmg_result r = LMG_OK;
+    for (uint32_t j = 0; r == LMG_OK && j < layout->slab_count; j++) {
+        const lmg_slab *slab = &layout->slabs[j];
+        r = lmg_etendue_prepare(&s->etendue[j], layout, j, err);
+        s->row_length[j] = lmg_etendue_is_full(&s->etendue[j]) && s->etendue[j].per_area ? slab->ns : 1;
+        s->first_row[j + 1] = s->first_row[j] + lmg_slab_cells(slab) / s->row_length[j];
+    }
+    s->row_count = s->first_row[layout->slab_count];
+    if (r == LMG_OK && !(s->rows = lmg_table_alloc((size_t)s->row_count * sizeof *s->rows)))
+        r = lmg_fail(err, LMG_ERROR_MEMORY, "field: no memory for its sampler");
+    double sum = 0;
+    for (uint32_t j = 0; r == LMG_OK && j < layout->slab_count; j++)
+        sum_slab(field, s, j, &sum);
+    if (r != LMG_OK) {
+        lmg_sampler_destroy(s);
+        return r;
+    }
+    field->sampler = s;
+    return LMG_OK;
+}
+
+/* ------------------------------------------------------------------------------------------------------------ emission */
+
+/* Numbers for the tries of a rejection, keyed by the caller's own random numbers (SplitMix64). */
+static double next_number(uint64_t *state)
+{
+    uint64_t z = *state += 0x9e3779b97f4a7c15u;
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return (double)((z ^ (z >> 31)) >> 11) * 0x1p-53;
+}
+
+bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
+{
+    const lmg_sampler *sampler = field->sampler;
+    double total = sampler->rows[sampler->row_count - 1];
+    if (!(total > 0))
+        return false;
+    /* The first row whose running sum exceeds the wanted flux: never a row without flux. */
+    double want = xi[0] * total;
+    uint64_t lo = 0, hi = sampler->row_count - 1;
+    while (lo < hi) {
+        uint64_t mid = (lo + hi) / 2;
+        if (sampler->rows[mid] > want)
+            hi = mid;
+        else
+            lo = mid + 1;
+    }
+    uint32_t j = 0;
+    while (sampler->first_row[j + 1] <= lo)
+        j++;
+    const lmg_slab *slab = &field->layout.slabs[j];
+    const lmg_etendue *e = &sampler->etendue[j];
+    uint64_t cell = (lo - sampler->first_row[j]) * sampler->row_length[j];
+    if (sampler->row_length[j] > 1) {
+        /* within the row by the cells' own fluxes; the last one with flux takes what rounding leaves over */
+        double rest = want - (lo ? sampler->rows[lo - 1] : 0);
+        const double *per_area = &e->per_area[cell % ((uint64_t)slab->ns * slab->nt)];
+        double uv_area = (slab->u1 - slab->u0) / slab->nu * ((slab->v1 - slab->v0) / slab->nv);
+        uint32_t chosen = 0;
+        for (uint32_t k = 0; k < slab->ns; k++) {
+            double flux = lmg_cell_luminance(field, j, cell + k) * per_area[k] * uv_area;
+            if (!(flux > 0))
+                continue;
+            chosen = k;
+            if (rest < flux)
+                break;
+            rest -= flux;
+        }
+        cell += chosen;
+    }
+    const uint64_t i[4] = {cell / slab->ns / slab->nt % slab->nu, cell / slab->ns / slab->nt / slab->nu, cell % slab->ns,
+                           cell / slab->ns % slab->nt};
+    const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, *scale = sampler->plan.scale[j];
+    /*
+     * Within the cell uniformly in etendue, by rejection.  Aperture slabs need none; for slopes, 1/(1+p^2+q^2)^2 against its largest value
+     * in the cell accepts at least 43 % (a cell of all directions); a cell shared with others at least 1 % (see reconstruct.c), so
+     * that 4096 tries fail with probability e^-17 at most and then keep their last candidate, whose flux isn't lost.
+     */
+    double nearest = 0;
+    if (slab->kind == LMG_SLAB_CUBE && isinf(slab->distance))
+        for (int k = 2; k < 4; k++) {
+            double a = low[k] + (double)i[k] / scale[k], b = low[k] + (double)(i[k] + 1) / scale[k];
+            double m = a > 0 ? a : b < 0 ? b : 0;
+            nearest += m * m;
+        }
+    uint64_t state = (uint64_t)(xi[1] * 0x1p53) * 0x9e3779b97f4a7c15u ^ (uint64_t)(xi[3] * 0x1p53);
+    bool full = lmg_etendue_is_full(e);
+    lmg_vec3 x = {0}, d = {0};
+    for (int tries = 0; tries < 4096; tries++) {
+        double uvst[4], own[4];
+        for (int k = 0; k < 4; k++)
+            uvst[k] = low[k] + ((double)i[k] + (tries ? next_number(&state) : xi[k + 1])) / scale[k];
+        lmg_slab_ray(slab, uvst, &x, &d);
+        if (slab->kind == LMG_SLAB_CUBE) {
+            double z = v_dot(d, slab->n), f = z * z * (1 + nearest);
+            if (fabs(v_dot(d, slab->a)) > z || fabs(v_dot(d, slab->b)) > z || next_number(&state) >= f * f)
+                continue;
+        }
+        double k0, k1;
+        if (full || (lmg_plan_owner(&sampler->plan, x, d, own) == (int)j &&
+                     lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, x, d, &k0, &k1)))
+            break;
+    }
+    /* the ray starts where it leaves the bounds */
+    double k0, k1;
+    if (lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, x, d, &k0, &k1))
+        x = v_fma(x, k1, d);
+    double y = lmg_cell_luminance(field, j, cell);
+    float rgb[3];
+    lmg_cell_rgb(field, j, cell, rgb);
+    *out = (lmg_ray){.origin = x, .direction = d};
+    for (int c = 0; c < 3; c++)
+        out->flux[c] = (float)((double)rgb[c] / y);
+    return true;
+}
+
+/* -------------------------------------------------------------------------------------------------- seen from a point */
+
+/* Density per steradian of a direction that crosses slab j's plane at distance r under cosine c: slab by flux, then uniform in (u,v). */
+static double density(const lmg_field *field, uint32_t j, double r, double c)
+{
+    const lmg_slab *slab = &field->layout.slabs[j];
+    double total = 0;
+    for (uint32_t k = 0; k < field->layout.slab_count; k++)
+        total += field->slabs[k].flux > 0 ? field->slabs[k].flux : 0;
+    double share = total > 0 && field->slabs[j].flux > 0 ? field->slabs[j].flux / total : 0;
+    return share * r * r / (c * (slab->u1 - slab->u0) * (slab->v1 - slab->v0));
+}
+
+double lmg_field_point_pdf(const lmg_field *field, lmg_vec3 point, lmg_vec3 direction)
+{
+    double uvst[4];
+    lmg_vec3 d = v_scale(-1, direction);
+    int j = lmg_plan_owner(&field->sampler->plan, point, d, uvst);
+    if (j < 0)
+        return 0;
+    const lmg_slab *slab = &field->layout.slabs[j];
+    double c = v_dot(d, slab->n), r = v_dot(v_sub(point, slab->o), slab->n) / c;
+    return r > 0 ? density(field, (uint32_t)j, r, c) : 0;
+}
+
+bool lmg_field_sample_point(const lmg_field *field, lmg_vec3 point, const double xi[3], lmg_point_sample *out)
+{
+    double total = 0, want, uvst[4];
+    for (uint32_t k = 0; k < field->layout.slab_count; k++)
+        total += field->slabs[k].flux > 0 ? field->slabs[k].flux : 0;
+    want = xi[0] * total;
+    uint32_t j = 0;
+    for (; j + 1 < field->layout.slab_count; j++) {
+        double flux = field->slabs[j].flux > 0 ? field->slabs[j].flux : 0;
+        if (want < flux)
+            break;
+        want -= flux;
+    }
+    const lmg_slab *slab = &field->layout.slabs[j];
+    lmg_vec3 x = v_fma(v_fma(slab->o, slab->u0 + xi[1] * (slab->u1 - slab->u0), slab->a), slab->v0 + xi[2] * (slab->v1 - slab->v0), slab->b);
+    lmg_vec3 w = v_sub(x, point);
+    double r = v_length(w), k;
+    if (!(r > 0))
+        return false;
+    out->direction = v_scale(1 / r, w);
+    if (lmg_plan_owner(&field->sampler->plan, point, v_scale(-1, out->direction), uvst) != (int)j)
+        return false;
+    lmg_field_radiance(field, point, v_scale(-1, out->direction), LMG_NEAREST, out->radiance, NULL);
+    if (!(out->radiance[0] != 0 || out->radiance[1] != 0 || out->radiance[2] != 0))
+        return false;
+    out->pdf = lmg_field_point_pdf(field, point, out->direction);
+    out->distance = lmg_field_enter(field, point, out->direction, &k) ? k : 0;
+    return out->pdf > 0;
+}

@@ -1,0 +1,63 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Small vectors, for the files of this library only.  Double precision; nothing here can fail. */
+#ifndef LUMIGRAPH_VEC_H
+#define LUMIGRAPH_VEC_H
+
+#include <lumigraph/lumigraph.h>
+
+#include <math.h>
+
+#define LMG_PI 3.14159265358979323846
+
+static inline double v_dot(lmg_vec3 a, lmg_vec3 b)
+{
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+
+static inline lmg_vec3 v_add(lmg_vec3 a, lmg_vec3 b)
+{
+    return (lmg_vec3){a.x + b.x, a.y + b.y, a.z + b.z};
+}
+
+static inline lmg_vec3 v_sub(lmg_vec3 a, lmg_vec3 b)
+{
+    return (lmg_vec3){a.x - b.x, a.y - b.y, a.z - b.z};
+}
+
+static inline lmg_vec3 v_scale(double k, lmg_vec3 a)
+{
+    return (lmg_vec3){k * a.x, k * a.y, k * a.z};
+}
+
+/* a + k b */
+static inline lmg_vec3 v_fma(lmg_vec3 a, double k, lmg_vec3 b)
+{
+    return (lmg_vec3){a.x + k * b.x, a.y + k * b.y, a.z + k * b.z};
+}
+
+static inline lmg_vec3 v_cross(lmg_vec3 a, lmg_vec3 b)
+{
+    return (lmg_vec3){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+static inline double v_length(lmg_vec3 a)
+{
+    return sqrt(v_dot(a, a));
+}
+
+static inline bool v_finite(lmg_vec3 a)
+{
+    return isfinite(a.x) && isfinite(a.y) && isfinite(a.z);
+}
+
+static inline double v_axis(lmg_vec3 a, int axis)
+{
+    return axis == 0 ? a.x : axis == 1 ? a.y : a.z;
+}
+
+static inline double d_clamp(double x, double lo, double hi)
+{
+    return x < lo ? lo : x > hi ? hi : x;
+}
+
+#endif
