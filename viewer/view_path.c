@@ -176,11 +176,6 @@ static void add_light(double sum[3], const double beta[3], const double attenuat
 /* A sample of one light as seen from a point, in the world frame. */
 static bool sample_light(const view_scene *scene, const view_light *light, lmg_vec3 p, const double xi[3], lum_light_sample *out)
 {
-    if (light->kind == VIEW_LIGHT_DIRECTIONAL) {
-        *out = (lum_light_sample){.direction = view_minus(light->direction), .distance = INFINITY, .pdf = 1, .delta = true};
-        memcpy(out->radiance, light->illuminance, sizeof out->radiance);
-        return true;
-    }
     if (light->kind == VIEW_LIGHT_EMITTERS) {
         const view_object *object = &scene->objects[light->index];
         if (!lum_emitters_sample_point(object->emitters, view_point_in(&object->motion, p), xi, out)) {
@@ -204,6 +199,31 @@ static bool sample_light(const view_scene *scene, const view_light *light, lmg_v
         out->radiance[c] = sample.radiance[c] * (float)box->scale;
     }
     return sample.pdf > 0;
+}
+
+/*
+ * How far short of a light a shadow ray ends, relative to the coordinates involved: the shadow ray and the light's own triangle are
+ * each rounded to float, and Embree's distance is good to a few dozen roundings of such numbers; 64 roundings (2^-24 each) cover
+ * both. What hides a light within that distance of it, micrometres in a room, isn't seen.
+ */
+static const double SHADOW_ROUNDING = 0x1p-18;
+
+/* Whether nothing stands between a surface and a light sampled from it.  The ray starts off the surface and still ends at the
+ * light. */
+static bool light_arrives(const view_scene *scene, const view_hit *hit, const lum_light_sample *sample, lum_rng *rng)
+{
+    lmg_vec3 start = view_leave(hit, sample->direction), direction = sample->direction;
+    double distance = sample->distance;
+    if (distance < (double)INFINITY) {
+        lmg_vec3 way = view_sub(view_add(hit->position, view_scale(direction, distance)), start);
+        double length = view_length(way);
+        distance = length - SHADOW_ROUNDING * (fabs(start.x) + fabs(start.y) + fabs(start.z) + length);
+        if (!(distance > 0)) {
+            return true;
+        }
+        direction = view_scale(way, 1 / length);
+    }
+    return !view_scene_occluded(scene, start, direction, distance, next_number, rng);
 }
 
 /* Direct light at x from one light chosen by chance.  worker->weights hold the lights' weights at x, which sum to total. */
@@ -231,9 +251,8 @@ static void direct_light(const view_scene *scene, const view_path_options *optio
     if (!sample.delta && options->strategy == VIEW_MIS) {
         weight = power_heuristic(pdf, lum_scatter_pdf(&x->surface, x->v, w, (float)x->eta_outside));
     }
-    lmg_vec3 start = view_leave(&x->hit, sample.direction);
     worker->rays++;
-    if (view_scene_occluded(scene, start, sample.direction, sample.distance, next_number, rng)) {
+    if (!light_arrives(scene, &x->hit, &sample, rng)) {
         return;
     }
     double attenuation[3] = {1, 1, 1};

@@ -18,6 +18,18 @@ static void object_release(view_object *object)
     lum_model_destroy(object->model);
 }
 
+/* Illuminance of all directional lights together, lx; their flux has no meaning. */
+static double directional_illuminance(const lum_model *model)
+{
+    double sum = 0;
+    for (uint32_t i = 0; i < model->light_count; i++) {
+        if (model->lights[i].kind == LUM_LIGHT_DIRECTIONAL) {
+            sum += fmax(lmg_luminance(model->lights[i].intensity), 0);
+        }
+    }
+    return sum;
+}
+
 /* Fills an object from a file; on failure nothing is left over. */
 static lmg_result object_load(const char *path, const lum_recipe *recipe, view_object *out, lmg_error *err)
 {
@@ -40,9 +52,11 @@ static lmg_result object_load(const char *path, const lum_recipe *recipe, view_o
     double rgb[3];
     out->flux = lum_emitters_flux(out->emitters, rgb);
     if (!(out->flux > 0)) {
-        lum_emitters_destroy(out->emitters);
-        out->emitters = NULL;
         out->flux = 0;
+        if (!(directional_illuminance(model) > 0)) {
+            lum_emitters_destroy(out->emitters);
+            out->emitters = NULL;
+        }
     }
     for (uint32_t i = 0; i < model->material_count; i++) {
         out->has_alpha = out->has_alpha || model->materials[i].alpha_mode != LUM_ALPHA_OPAQUE;
@@ -142,7 +156,7 @@ lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_re
     if (r != LMG_OK) {
         return r;
     }
-    if (!object.emitters) {
+    if (!(object.flux > 0)) {
         object_release(&object);
         return lmg_fail(err, LMG_ERROR_INPUT,
                         "%s: nothing in this lamp emits light; a recipe entry such as \"emitter:NAME=800lm\" says what shines",
@@ -169,13 +183,9 @@ lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_re
 
 lmg_result view_scene_finish(view_scene *scene, lmg_error *err)
 {
-    size_t capacity = (size_t)scene->box_count + scene->object_count;
-    for (uint32_t i = 0; i < scene->object_count; i++) {
-        capacity += scene->objects[i].model->light_count;
-    }
     free(scene->lights);
     scene->light_count = 0;
-    scene->lights = calloc(capacity, sizeof *scene->lights);
+    scene->lights = calloc((size_t)scene->box_count + scene->object_count, sizeof *scene->lights);
     if (!scene->lights) {
         return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory for the list of lights");
     }
@@ -190,29 +200,17 @@ lmg_result view_scene_finish(view_scene *scene, lmg_error *err)
     for (uint32_t i = 0; i < scene->object_count; i++) {
         const view_object *object = &scene->objects[i];
         const lum_model *model = object->model;
-        if (object->emitters) {
-            lmg_vec3 half = view_scale(view_sub(model->bounds_max, model->bounds_min), 0.5);
-            lmg_vec3 middle = view_add(model->bounds_min, half);
-            scene->lights[scene->light_count++] = (view_light){.kind = VIEW_LIGHT_EMITTERS,
-                                                               .index = i,
-                                                               .strength = object->flux / (4 * VIEW_PI),
-                                                               .centre = view_point_out(&object->motion, middle),
-                                                               .radius2 = view_dot(half, half)};
+        if (!object->emitters) {
+            continue;
         }
-        for (uint32_t j = 0; j < model->light_count; j++) {
-            const lum_light *light = &model->lights[j];
-            if (light->kind != LUM_LIGHT_DIRECTIONAL || !(lmg_luminance(light->intensity) > 0)) {
-                continue;
-            }
-            view_light *entry = &scene->lights[scene->light_count++];
-            *entry = (view_light){.kind = VIEW_LIGHT_DIRECTIONAL,
-                                  .index = i,
-                                  .strength = lmg_luminance(light->intensity) * object->scale,
-                                  .direction = view_direction_out(&object->motion, light->direction)};
-            for (int c = 0; c < 3; c++) {
-                entry->illuminance[c] = light->intensity[c] * (float)object->scale;
-            }
-        }
+        lmg_vec3 half = view_scale(view_sub(model->bounds_max, model->bounds_min), 0.5);
+        lmg_vec3 middle = view_add(model->bounds_min, half);
+        scene->lights[scene->light_count++] = (view_light){.kind = VIEW_LIGHT_EMITTERS,
+                                                           .index = i,
+                                                           .strength = object->flux / (4 * VIEW_PI),
+                                                           .everywhere = directional_illuminance(model) * object->scale,
+                                                           .centre = view_point_out(&object->motion, middle),
+                                                           .radius2 = view_dot(half, half)};
     }
     return LMG_OK;
 }
@@ -224,12 +222,8 @@ double view_light_weights(const view_scene *scene, lmg_vec3 p, double *weights)
     double sum = 0;
     for (uint32_t i = 0; i < scene->light_count; i++) {
         const view_light *light = &scene->lights[i];
-        if (light->kind == VIEW_LIGHT_DIRECTIONAL) {
-            weights[i] = light->strength;
-        } else {
-            lmg_vec3 v = view_sub(light->centre, p);
-            weights[i] = light->strength / fmax(fmax(view_dot(v, v), light->radius2), DBL_MIN);
-        }
+        lmg_vec3 v = view_sub(light->centre, p);
+        weights[i] = light->strength / fmax(fmax(view_dot(v, v), light->radius2), DBL_MIN) + light->everywhere;
         sum += weights[i];
     }
     double even = 0.1 / 0.9 * sum / scene->light_count;

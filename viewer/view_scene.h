@@ -41,16 +41,15 @@ typedef struct view_box {
     char path[1024];
 } view_box;
 
-/* A light that the paths choose from. */
-typedef enum view_light_kind { VIEW_LIGHT_BOX, VIEW_LIGHT_EMITTERS, VIEW_LIGHT_DIRECTIONAL } view_light_kind;
+/* A light that the paths choose from: a box, or all that shines in an object. */
+typedef enum view_light_kind { VIEW_LIGHT_BOX, VIEW_LIGHT_EMITTERS } view_light_kind;
 typedef struct view_light {
     view_light_kind kind;
-    uint32_t index;  /* of the box, or of the object */
-    double strength; /* flux / 4 pi (cd), or illuminance (lx) for directional lights */
+    uint32_t index;    /* of the box, or of the object */
+    double strength;   /* flux / 4 pi (cd) */
+    double everywhere; /* illuminance of directional lights (lx) */
     lmg_vec3 centre;
-    double radius2;       /* keeps the estimate of the light's share finite nearby */
-    lmg_vec3 direction;   /* directional: where the light goes, world */
-    float illuminance[3]; /* directional: lx */
+    double radius2; /* keeps the estimate of the light's share finite nearby */
 } view_light;
 
 typedef struct view_scene {
