@@ -230,12 +230,12 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
     return true;
 }
 
-/* Closest hit beyond `near`, as Embree sees it. */
-static inline bool trace(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, float near, struct RTCRayHit *rayhit)
+/* Closest hit between `near` and `far`, as Embree sees it. */
+static inline bool trace(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, float near, float far, struct RTCRayHit *rayhit)
 {
     struct RTCIntersectContext context;
     rtcInitIntersectContext(&context);
-    set_ray(&rayhit->ray, o, d, near, INFINITY);
+    set_ray(&rayhit->ray, o, d, near, far);
     rayhit->hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rayhit->hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     rtcIntersect1(scene->embree, &context, rayhit);
@@ -246,7 +246,7 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
 {
     struct RTCRayHit rayhit;
     float near = 0;
-    while (trace(scene, origin, direction, near, &rayhit)) {
+    while (trace(scene, origin, direction, near, INFINITY, &rayhit)) {
         hit->triangle = rayhit.hit.primID;
         if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, rayhit.hit.u, rayhit.hit.v, hit)) {
             return true;
@@ -257,16 +257,21 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
     return false;
 }
 
+/* Any-hit queries can't be checked in double triangle by triangle, and Embree's distances are off by the rounding of its input over the
+ * cosine, so that a light would shadow itself at grazing angles: hence the closest hit here too. */
 bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance)
 {
-    struct RTCIntersectContext context;
-    struct RTCRay ray;
-    rtcInitIntersectContext(&context);
-    /* Embree's distances are good to some roundings of the distances involved, hence 16 of them short of the end. */
-    double end = distance * (1 - 16 * LUM_FLOAT_ROUNDING);
-    set_ray(&ray, origin, direction, 0, (float)end);
-    rtcOccluded1(scene->embree, &context, &ray);
-    return ray.tfar < 0;
+    struct RTCRayHit rayhit;
+    lum_hit hit;
+    float near = 0, far = nextafterf((float)distance, INFINITY);
+    while (trace(scene, origin, direction, near, far, &rayhit)) {
+        if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, rayhit.hit.u, rayhit.hit.v, &hit)) {
+            /* Hits are exact, so what is closer than the end by an origin's offset is in between. */
+            return hit.t < distance - hit.error;
+        }
+        near = nextafterf(rayhit.ray.tfar, INFINITY);
+    }
+    return false;
 }
 
 uint64_t lum_scene_trace_raw(const lum_scene *scene, const float *rays, size_t count)

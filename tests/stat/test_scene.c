@@ -1,0 +1,260 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Rays against triangles: no leaks out of closed bodies, hits on the surface, agreement with a loop over all triangles. */
+#include "../unit/make_model.h"
+
+#include <luminaires/rng.h>
+
+#include <fenv.h>
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <cmocka.h>
+
+typedef struct walk {
+    uint64_t bounces, escaped, outer, wrong_side;
+    double largest_error; /* distance of hits from where they should be, in units of lum_hit.error */
+} walk;
+
+/* Bounces through the scene; a photon that meets nothing has escaped and starts again. */
+static walk bounce(const lum_model *model, lmg_vec3 start, uint64_t bounces, uint64_t seed, uint32_t first_outer, bool lambert)
+{
+    lum_scene *scene;
+    assert_int_equal(lum_scene_create(model, &scene, NULL), LMG_OK);
+    unsigned saved = lum_thread_begin();
+    walk w = {0};
+    lum_rng rng = lum_rng_stream(seed, 0);
+    bool fresh = true;
+    lmg_vec3 o = start, d = {0, 0, 1};
+    for (uint64_t i = 0; i < bounces; i++) {
+        if (fresh) {
+            double z = 2 * lum_rng_next(&rng) - 1, phi = 6.283185307179586 * lum_rng_next(&rng), r = sqrt(1 - z * z);
+            o = start;
+            d = (lmg_vec3){r * cos(phi), r * sin(phi), z};
+            fresh = false;
+        }
+        lum_hit hit;
+        if (!lum_scene_intersect(scene, o, d, &hit)) {
+            w.escaped++;
+            fresh = true;
+            continue;
+        }
+        w.bounces++;
+        w.outer += hit.triangle >= first_outer;
+        lum_surface s;
+        lum_scattered out;
+        double xi[4] = {lum_rng_next(&rng), lum_rng_next(&rng), lum_rng_next(&rng), lum_rng_next(&rng)};
+        lum_surface_at(scene, &hit, d, &s);
+        w.wrong_side += !s.front;
+        lum_scatter_trace(&s, (lmg_vec3){-d.x, -d.y, -d.z}, 1, xi, NULL, &out);
+        o = lum_offset(&hit, out.wo);
+        d = out.wo;
+        double n2 = d.x * d.x + d.y * d.y + d.z * d.z;
+        assert_true(fabs(n2 - 1) < 1e-9);
+        double n = 1 / sqrt(n2); /* a tracer renormalizes now and then */
+        d = (lmg_vec3){d.x * n, d.y * n, d.z * n};
+        fresh = !lambert && (i & 0xfff) == 0xfff; /* mirror paths may be periodic */
+    }
+    lum_thread_end(saved);
+    lum_scene_destroy(scene);
+    return w;
+}
+
+static void report(const char *what, walk w)
+{
+    print_message("%s: %llu bounces, %llu escaped, %llu beyond the wall, %llu on the back\n", what, (unsigned long long)w.bounces,
+                  (unsigned long long)w.escaped, (unsigned long long)w.outer, (unsigned long long)w.wrong_side);
+    assert_int_equal(w.escaped, 0);
+    assert_int_equal(w.outer, 0);
+    assert_int_equal(w.wrong_side, 0);
+}
+
+enum { BOUNCES = 10000000 };
+
+static void closed_boxes_keep_light(void **state)
+{
+    (void)state;
+    for (int lambert = 0; lambert < 2; lambert++) {
+        lum_model *model = make_model();
+        uint32_t m = lambert ? make_lambert(model, 1) : make_mirror(model, 1, 0);
+        /* Off centre, edges of odd lengths. */
+        make_box(model, (lmg_vec3){-0.317, -0.411, -0.223}, (lmg_vec3){0.529, 0.377, 0.613}, true, 3, m);
+        finish_model(model);
+        report(lambert ? "white box" : "mirror box", bounce(model, (lmg_vec3){0.1, 0.05, 0.2}, BOUNCES, 11, UINT32_MAX, lambert));
+        free_model(model);
+    }
+}
+
+static void closed_spheres_keep_light(void **state)
+{
+    (void)state;
+    for (int smooth = 0; smooth < 2; smooth++) {
+        lum_model *model = make_model();
+        uint32_t m = make_mirror(model, 1, 0);
+        make_sphere(model, (lmg_vec3){0.02, 0.01, -0.03}, 0.5, 50, true, smooth, m);
+        finish_model(model);
+        report(smooth ? "mirror sphere, smooth normals" : "mirror sphere, facets",
+               bounce(model, (lmg_vec3){0.1, 0.05, 0.2}, BOUNCES, 12, UINT32_MAX, false));
+        free_model(model);
+    }
+}
+
+/* A second box 0.1 mm outside of a 1 m box: nothing may get between. */
+static void thin_shells_hold(void **state)
+{
+    (void)state;
+    lum_model *model = make_model();
+    uint32_t m = make_lambert(model, 1);
+    double t = 1e-4;
+    lmg_vec3 low = {-0.5, -0.5, -0.5}, high = {0.5, 0.5, 0.5};
+    make_box(model, low, high, true, 2, m);
+    uint32_t inner = model->triangle_count;
+    make_box(model, (lmg_vec3){low.x - t, low.y - t, low.z - t}, (lmg_vec3){high.x + t, high.y + t, high.z + t}, true, 2, m);
+    finish_model(model);
+    report("0.1 mm behind a 1 m box", bounce(model, (lmg_vec3){0.1, 0.05, 0.2}, BOUNCES, 13, inner, true));
+    /* The offset is a fiftieth of the wall at most. */
+    lum_scene *scene;
+    lum_hit hit;
+    assert_int_equal(lum_scene_create(model, &scene, NULL), LMG_OK);
+    assert_true(lum_scene_intersect(scene, (lmg_vec3){0, 0, 0}, (lmg_vec3){0, 0.6, 0.8}, &hit));
+    assert_true(hit.error <= t / 50);
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
+/* Walls that meet at 20 degrees, in a prism. */
+static void acute_edges_hold(void **state)
+{
+    (void)state;
+    lum_model *model = make_model();
+    uint32_t m = make_lambert(model, 1);
+    double h = tan(20 * 3.14159265358979323846 / 180);
+    lmg_vec3 a = {-0.3, -0.2, -0.4}, b = {0.7, -0.2, -0.4}, c = {0.7, h - 0.2, -0.4};
+    lmg_vec3 a2 = {a.x, a.y, 0.4}, b2 = {b.x, b.y, 0.4}, c2 = {c.x, c.y, 0.4}, z = {0, 0, 0.8};
+    make_triangle(model, a, b, c, m);
+    make_triangle(model, a2, c2, b2, m);
+    make_quad(model, a, z, (lmg_vec3){b.x - a.x, b.y - a.y, 0}, 1, m);
+    make_quad(model, b, z, (lmg_vec3){c.x - b.x, c.y - b.y, 0}, 1, m);
+    make_quad(model, c, z, (lmg_vec3){a.x - c.x, a.y - c.y, 0}, 1, m);
+    (void)a2;
+    finish_model(model);
+    report("prism with an edge of 20 degrees", bounce(model, (lmg_vec3){0.5, -0.1, 0.1}, BOUNCES, 14, UINT32_MAX, true));
+    free_model(model);
+}
+
+/* Moeller and Trumbore in double over all triangles. */
+static bool closest(const lum_model *model, lmg_vec3 o, lmg_vec3 d, double *t, uint32_t *which)
+{
+    *t = INFINITY;
+    for (uint32_t i = 0; i < model->triangle_count; i++) {
+        double v[3][3];
+        for (int k = 0; k < 3; k++) {
+            for (int c = 0; c < 3; c++) {
+                v[k][c] = (double)model->positions[3 * (size_t)model->indices[3 * (size_t)i + (size_t)k] + (size_t)c];
+            }
+        }
+        lmg_vec3 e1 = {v[1][0] - v[0][0], v[1][1] - v[0][1], v[1][2] - v[0][2]};
+        lmg_vec3 e2 = {v[2][0] - v[0][0], v[2][1] - v[0][1], v[2][2] - v[0][2]};
+        lmg_vec3 s = {o.x - v[0][0], o.y - v[0][1], o.z - v[0][2]};
+        lmg_vec3 p = {d.y * e2.z - d.z * e2.y, d.z * e2.x - d.x * e2.z, d.x * e2.y - d.y * e2.x};
+        lmg_vec3 q = {s.y * e1.z - s.z * e1.y, s.z * e1.x - s.x * e1.z, s.x * e1.y - s.y * e1.x};
+        double det = e1.x * p.x + e1.y * p.y + e1.z * p.z;
+        double b1 = (s.x * p.x + s.y * p.y + s.z * p.z) / det, b2 = (d.x * q.x + d.y * q.y + d.z * q.z) / det;
+        double at = (e2.x * q.x + e2.y * q.y + e2.z * q.z) / det;
+        if (b1 >= 0 && b2 >= 0 && b1 + b2 <= 1 && at > 0 && at < *t) {
+            *t = at;
+            *which = i;
+        }
+    }
+    return *t < (double)INFINITY;
+}
+
+static void agrees_with_all_triangles(void **state)
+{
+    (void)state;
+    lum_model *model = make_model();
+    uint32_t m = make_lambert(model, 1);
+    make_sphere(model, (lmg_vec3){0.1, 0, 0}, 0.3, 9, false, false, m);
+    make_quad(model, (lmg_vec3){-0.8, -0.7, -0.5}, (lmg_vec3){1.5, 0.1, 0.2}, (lmg_vec3){0.2, 1.4, -0.1}, 4, m);
+    finish_model(model);
+    lum_scene *scene;
+    assert_int_equal(lum_scene_create(model, &scene, NULL), LMG_OK);
+    lum_rng rng = lum_rng_stream(5, 0);
+    int hits = 0, differ = 0;
+    for (int i = 0; i < 100000; i++) {
+        double z = 2 * lum_rng_next(&rng) - 1, phi = 6.283185307179586 * lum_rng_next(&rng), r = sqrt(1 - z * z), t = 0;
+        lmg_vec3 o = {2 * lum_rng_next(&rng) - 1, 2 * lum_rng_next(&rng) - 1, 2 * lum_rng_next(&rng) - 1};
+        lmg_vec3 d = {r * cos(phi), r * sin(phi), z};
+        uint32_t which = 0;
+        lum_hit hit;
+        bool a = closest(model, o, d, &t, &which), b = lum_scene_intersect(scene, o, d, &hit);
+        /* Rays within a rounding of an outline or edge may go either way: about 1e-7 of lengths, times the outlines in the picture. */
+        if (a != b || (a && which != hit.triangle)) {
+            differ++;
+            continue;
+        }
+        if (a) {
+            hits++;
+            assert_true(fabs(hit.t - t) <= 4 * hit.error);
+            double x = o.x + t * d.x - hit.position.x, y = o.y + t * d.y - hit.position.y, w = o.z + t * d.z - hit.position.z;
+            /* Hits keep four errors away from edges. */
+            assert_true(sqrt(x * x + y * y + w * w) <= 16 * hit.error);
+            assert_true(fabs(hit.ng.x * hit.ng.x + hit.ng.y * hit.ng.y + hit.ng.z * hit.ng.z - 1) < 1e-12);
+            assert_false(lum_scene_occluded(scene, o, d, t));
+            assert_true(lum_scene_occluded(scene, o, d, t * 1.001 + 1e-4));
+        }
+    }
+    print_message("%d hits, %d decided the other way\n", hits, differ);
+    assert_true(hits > 15000); /* it tests something */
+    assert_true(differ <= 3);
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
+/* With trapping enabled, as debugging builds have it, neither building nor tracing may stop the program. */
+static void floating_point_traps_survive(void **state)
+{
+    (void)state;
+    lum_model *model = make_model();
+    make_box(model, (lmg_vec3){-1, -1, -1}, (lmg_vec3){1, 1, 1}, true, 1, make_material(model, LUM_SURFACE_PBR));
+    finish_model(model);
+    unsigned csr = __builtin_ia32_stmxcsr();
+    __builtin_ia32_ldmxcsr((csr & ~0x3fu) & ~(0x0080u | 0x0200u)); /* unmask invalid and division by zero */
+    lum_scene *scene;
+    lum_hit hit;
+    lmg_result result = lum_scene_create(model, &scene, NULL);
+    unsigned saved = lum_thread_begin();
+    bool found = !result && lum_scene_intersect(scene, (lmg_vec3){0, 0, 0}, (lmg_vec3){1, 0, 0}, &hit);
+    lum_thread_end(saved);
+    __builtin_ia32_ldmxcsr(csr);
+    assert_int_equal(result, LMG_OK);
+    assert_true(found);
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
+static void nothing_to_hit(void **state)
+{
+    (void)state;
+    lum_model *model = make_model();
+    make_lambert(model, 1);
+    finish_model(model);
+    lum_scene *scene;
+    lum_hit hit;
+    assert_int_equal(lum_scene_create(model, &scene, NULL), LMG_OK);
+    assert_false(lum_scene_intersect(scene, (lmg_vec3){0, 0, 0}, (lmg_vec3){1, 0, 0}, &hit));
+    assert_false(lum_scene_occluded(scene, (lmg_vec3){0, 0, 0}, (lmg_vec3){1, 0, 0}, 1));
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(agrees_with_all_triangles),  cmocka_unit_test(floating_point_traps_survive), cmocka_unit_test(nothing_to_hit),
+        cmocka_unit_test(closed_boxes_keep_light),    cmocka_unit_test(closed_spheres_keep_light),    cmocka_unit_test(thin_shells_hold),
+        cmocka_unit_test(acute_edges_hold),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
