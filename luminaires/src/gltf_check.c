@@ -4,6 +4,7 @@
  * What the tables don't know is removed.  Relies on jansson only.
  */
 #include "gltf_check.h"
+#include "text.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -451,8 +452,8 @@ static lmg_result check_version(const json_t *root, lmg_error *err)
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "not a glTF 2.0 file: it has no \"asset\" object");
     const char *version = json_string_value(json_object_get(asset, "version"));
     const char *least = json_string_value(json_object_get(asset, "minVersion"));
-    if (!version)
-        return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "not a glTF 2.0 file: its asset.version is missing or not a string");
+    if (!version || !*version)
+        return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "not a glTF 2.0 file: its asset.version is missing, empty or not a string");
     if (strncmp(version, "2.", 2) != 0)
         return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "glTF version %.16s is not supported; export the model as glTF 2.0", version);
     if (least && strcmp(least, "2.0") != 0)
@@ -482,6 +483,17 @@ static lmg_result check_extension_lists(const json_t *root, gltf_ignored *ignore
     return LMG_OK;
 }
 
+static lmg_result check_spots(const json_t *root, lmg_error *err)
+{
+    const json_t *lights = json_object_get(json_object_get(json_object_get(root, "extensions"), "KHR_lights_punctual"), "lights");
+    for (size_t i = 0; i < json_array_size(lights); i++) {
+        const json_t *light = json_array_get(lights, i);
+        if (strcmp(json_string_value(json_object_get(light, "type")), "spot") == 0 && !json_object_get(light, "spot"))
+            return lmg_fail(err, LMG_ERROR_INPUT, "extensions.KHR_lights_punctual.lights[%zu]: a spot light needs the object \"spot\"", i);
+    }
+    return LMG_OK;
+}
+
 lmg_result gltf_check(json_t *root, gltf_ignored *ignored, lmg_error *err)
 {
     memset(ignored, 0, sizeof *ignored);
@@ -495,6 +507,8 @@ lmg_result gltf_check(json_t *root, gltf_ignored *ignored, lmg_error *err)
     ignored->animations = (uint32_t)json_array_size(json_object_get(root, "animations"));
     walk w = {.root = root, .ignored = ignored, .err = err};
     result = check_object(&w, root, root_rules);
+    if (!result)
+        result = check_spots(root, err);
     json_object_del(root, "skins"); /* they had to be there to check that the nodes' skins exist */
     return result;
 }
@@ -563,6 +577,22 @@ static lmg_result check_sparse(const json_t *root, const json_t *accessor, size_
     return LMG_OK;
 }
 
+/* Indices must come from a buffer: all zeros would be no triangles. */
+static lmg_result check_index_views(const json_t *root, lmg_error *err)
+{
+    const json_t *meshes = json_object_get(root, "meshes"), *accessors = json_object_get(root, "accessors");
+    for (size_t i = 0; i < json_array_size(meshes); i++) {
+        const json_t *primitives = json_object_get(json_array_get(meshes, i), "primitives");
+        for (size_t j = 0; j < json_array_size(primitives); j++) {
+            const json_t *indices = json_object_get(json_array_get(primitives, j), "indices");
+            if (indices && !json_object_get(json_array_get(accessors, (size_t)json_integer_value(indices)), "bufferView"))
+                return lmg_fail(err, LMG_ERROR_INPUT, "meshes[%zu].primitives[%zu].indices: accessor %" PRIu64
+                                                      " has no buffer view; re-export the model", i, j, (uint64_t)json_integer_value(indices));
+        }
+    }
+    return LMG_OK;
+}
+
 lmg_result gltf_check_reach(const json_t *root, lmg_error *err)
 {
     const json_t *buffers = json_object_get(root, "buffers"), *views = json_object_get(root, "bufferViews");
@@ -571,12 +601,16 @@ lmg_result gltf_check_reach(const json_t *root, lmg_error *err)
         const json_t *v = json_array_get(views, i);
         uint64_t buffer = get(v, "buffer"), end = get(v, "byteOffset") + get(v, "byteLength");
         uint64_t length = get(json_array_get(buffers, buffer), "byteLength");
+        if (get(v, "byteStride") % 4)
+            return lmg_fail(err, LMG_ERROR_INPUT, "bufferViews[%zu].byteStride: %" PRIu64 " is not a multiple of 4; re-export the model", i,
+                            get(v, "byteStride"));
         if (end > length)
             return lmg_fail(err, LMG_ERROR_INPUT,
                             "bufferViews[%zu]: ends at byte %" PRIu64 " of buffer %" PRIu64 ", which has %" PRIu64
                             "; the file is damaged, re-export the model",
                             i, end, buffer, length);
     }
+    LUM_TRY(check_index_views(root, err));
     for (size_t i = 0; i < json_array_size(accessors); i++) {
         const json_t *a = json_array_get(accessors, i);
         uint64_t component = component_size(get(a, "componentType"));

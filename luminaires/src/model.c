@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Loading a model: the order of the steps (model_build.h), and what they share. */
 #include "model_build.h"
+#include "recipe.h"
 
 #include <stdarg.h>
 #include <stdio.h>
@@ -82,14 +83,16 @@ lmg_result lum_model_load(const char *path, const lum_recipe *recipe, lum_model 
     if (!result) {
         b.doc = b.file->document;
         b.model = calloc(1, sizeof *b.model);
+        b.entry_matched = calloc((recipe ? recipe->entry_count : 0) + 1u, sizeof *b.entry_matched);
         if (b.model)
             snprintf(b.model->path, sizeof b.model->path, "%s", path);
-        result = b.model ? build(&b) : lmg_fail(err, LMG_ERROR_MEMORY, "out of memory");
+        result = b.model && b.entry_matched ? build(&b) : lmg_fail(err, LMG_ERROR_MEMORY, "out of memory");
     }
     free(b.positions);
     free(b.part_node);
     free(b.node_parent);
     free(b.image_slots);
+    free(b.entry_matched);
     gltf_close(b.file);
     if (result) {
         lum_prefix_error(err, lum_base_name(path));

@@ -21,6 +21,7 @@ typedef struct lum_build {
     const lum_recipe *recipe; /* may be NULL */
     lum_model *model;
     lmg_error *err;
+    bool *entry_matched;      /* per recipe entry */
     double scale;             /* of the whole model, from the recipe */
 
     double *positions;        /* 3 per vertex, metres, the file's frame */
@@ -58,8 +59,14 @@ lmg_result lum_build_finish(lum_build *b);
 /* mesh_check.c: area, boundary edges and volume of each part; coincident faces (warning). */
 lmg_result lum_check_meshes(lum_build *b);
 
-/* recipe_apply.c: whether the recipe leaves a part out; then, when all parts are known, materials changed part by part. */
-bool lum_recipe_leaves_out(const lum_build *b, int32_t node, const char *mesh, const char *material);
+double lum_triangle_area(const lum_model *model, uint32_t triangle);
+/* Per triangle: whether it faces the middle of the piece (connected triangles of a part) it belongs to.  *inside is freed by free(). */
+lmg_result lum_find_inside(lum_build *b, bool **inside);
+
+/* recipe_apply.c: whether the recipe leaves a part (or a punctual light) out; then, when all parts are known, materials changed part by
+ * part, and those that no part uses removed. */
+bool lum_recipe_leaves_out(lum_build *b, int32_t node, const char *mesh, const char *material);
+bool lum_recipe_darkens(lum_build *b, int32_t node, const char *light);
 lmg_result lum_recipe_apply(lum_build *b);
 double lum_recipe_scale(const lum_recipe *recipe);
 /* Continues a hash over everything the recipe says. */

@@ -174,7 +174,7 @@ static lmg_result visit(lum_build *b, int32_t index, const lum_affine *world)
         lum_warn(b, "node \"%.60s\" is skinned: skins are ignored, its mesh is taken in its bind pose", name);
         b->warned_skin = true;
     }
-    if (node->light >= 0 && !lum_recipe_leaves_out(b, index, NULL, NULL))
+    if (node->light >= 0 && !lum_recipe_darkens(b, index, b->doc->lights[node->light].name))
         LUM_TRY(add_light(b, node->light, name, world));
     if (node->camera >= 0)
         LUM_TRY(add_camera(b, node->camera, name, world));
@@ -220,13 +220,38 @@ static lmg_result push(lum_build *b, stack *s, const int32_t *nodes, uint32_t co
     return LMG_OK;
 }
 
+/* Without a scene: all nodes that are nobody's child. */
+static lmg_result push_roots(lum_build *b, stack *s, const lum_affine *a, bool *met)
+{
+    uint32_t n = b->doc->node_count;
+    bool *child = calloc((size_t)n + 1, sizeof *child);
+    if (!child)
+        return lmg_fail(b->err, LMG_ERROR_MEMORY, "out of memory");
+    for (uint32_t i = 0; i < n; i++)
+        for (uint32_t k = 0; k < b->doc->nodes[i].child_count; k++)
+            child[b->doc->nodes[i].children[k]] = true;
+    lmg_result result = LMG_OK;
+    for (uint32_t i = n; i-- > 0 && !result;) {
+        int32_t node = (int32_t)i;
+        if (!child[i])
+            result = push(b, s, &node, 1, -1, 1, a, met);
+    }
+    free(child);
+    lum_warn(b, "it has no scene: all of its nodes are taken");
+    return result;
+}
+
 static lmg_result walk(lum_build *b, stack *s, bool *met)
 {
     lum_affine root = identity;
     for (int i = 0; i < 3; i++)
         root.m[i][i] = b->scale;
-    const gltf_scene *scene = &b->doc->scenes[b->doc->scene];
-    LUM_TRY(push(b, s, scene->nodes, scene->node_count, -1, 1, &root, met));
+    if (b->doc->scene >= 0) {
+        const gltf_scene *scene = &b->doc->scenes[b->doc->scene];
+        LUM_TRY(push(b, s, scene->nodes, scene->node_count, -1, 1, &root, met));
+    } else {
+        LUM_TRY(push_roots(b, s, &root, met));
+    }
     while (s->count > 0) {
         waiting w = s->items[--s->count];
         const gltf_node *node = &b->doc->nodes[w.node];
@@ -251,8 +276,8 @@ lmg_result lum_build_scene(lum_build *b)
         return lmg_fail(b->err, LMG_ERROR_MEMORY, "out of memory");
     for (uint32_t i = 0; i < n; i++)
         b->node_parent[i] = -1;
-    if (b->doc->scene < 0)
-        return lmg_fail(b->err, LMG_ERROR_INPUT, "it has no scene; export the model with its nodes in a scene");
+    if (b->doc->scene < 0 && n == 0)
+        return lmg_fail(b->err, LMG_ERROR_INPUT, "it has no scene and no nodes; export the model with its meshes in a scene");
     bool *met = calloc(n + 1, sizeof *met);
     if (!met)
         return lmg_fail(b->err, LMG_ERROR_MEMORY, "out of memory");

@@ -117,6 +117,7 @@ typedef struct lum_model {
     uint32_t image_count;     lum_image *images;
     uint32_t light_count;     lum_light *lights;
     uint32_t camera_count;    lum_camera *cameras;
+    double rated_flux;        /* lumens of the whole lamp as the recipe's "flux" says, 0 = not given; the emitters are as they are */
     lmg_vec3 bounds_min, bounds_max; /* of the triangles (and punctual lights), relative to centre */
     uint32_t warning_count;   char **warnings; /* one line each, naming the mesh or material and the recipe entry that would settle it */
 } lum_model;

@@ -1,0 +1,21 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Colours that recipes name: of glowing bodies by temperature, of metals by name. */
+#ifndef LUMINAIRES_COLOUR_H
+#define LUMINAIRES_COLOUR_H
+
+#include <stdbool.h>
+
+/* Range of lum_planckian, kelvin. */
+#define LUM_KELVIN_MIN 1000.0
+#define LUM_KELVIN_MAX 15000.0
+
+/* Linear Rec.709 R,G,B of luminance 1 with the chromaticity of a black body, LUM_KELVIN_MIN..LUM_KELVIN_MAX. */
+void lum_planckian(double kelvin, double rgb[3]);
+
+/* Complex index eta - i k of a metal at 610, 550 and 465 nm; false for a name it doesn't know. */
+bool lum_metal(const char *name, float eta[3], float k[3]);
+
+/* The names it knows, separated by ", ". */
+const char *lum_metal_names(void);
+
+#endif

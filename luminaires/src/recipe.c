@@ -1,0 +1,601 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Reading recipes: JSON (docs/recipe.md) and command-line shorthands, which are turned into the same JSON so that there is one set of
+ * rules.  Every key is known or an error; messages give the key's path.  Relies on jansson, and on gltf_file.c for reading files.
+ */
+#include "recipe.h"
+#include "colour.h"
+#include "gltf_file.h"
+#include "text.h"
+
+#include <jansson.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define MAX_RECIPE_BYTES ((size_t)16 << 20)
+
+/* One object of the recipe being read.  Getters remove what they have read, so that what is left at the end is unknown. */
+typedef struct reader {
+    json_t *object;
+    char path[LUM_NAME_SIZE];
+    lmg_error *err;
+    lmg_result result; /* the first error; later getters do nothing */
+} reader;
+
+static void fail(reader *r, const char *key, const char *format, ...)
+{
+    if (r->result)
+        return;
+    char text[300];
+    va_list args;
+    va_start(args, format);
+    vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    r->result = lmg_fail(r->err, LMG_ERROR_INPUT, "%s%s%s: %s", r->path, *r->path && *key ? "." : "", key, text);
+}
+
+/* The value of a key, for the caller to release; NULL when absent or after an error. */
+static json_t *take(reader *r, const char *key)
+{
+    json_t *value = r->result ? NULL : json_object_get(r->object, key);
+    if (value) {
+        json_incref(value);
+        json_object_del(r->object, key);
+    }
+    return value;
+}
+
+static bool in_range(reader *r, const char *key, const json_t *value, double low, double high, double *out)
+{
+    if (!json_is_number(value)) {
+        fail(r, key, "must be a number");
+        return false;
+    }
+    double x = json_number_value(value);
+    if (!(x >= low && x <= high)) {
+        fail(r, key, "%g is outside [%g, %g]", x, low, high);
+        return false;
+    }
+    *out = x;
+    return true;
+}
+
+static bool get_number(reader *r, const char *key, double low, double high, double *out)
+{
+    json_t *value = take(r, key);
+    if (!value)
+        return false;
+    bool ok = in_range(r, key, value, low, high, out);
+    json_decref(value);
+    return ok;
+}
+
+static bool get_bool(reader *r, const char *key, bool *out)
+{
+    json_t *value = take(r, key);
+    if (!value)
+        return false;
+    bool ok = json_is_boolean(value);
+    if (ok)
+        *out = json_is_true(value);
+    else
+        fail(r, key, "must be true or false");
+    json_decref(value);
+    return ok;
+}
+
+/* A number for all of R,G,B, or three of them. */
+static bool get_rgb(reader *r, const char *key, double low, double high, double out[3])
+{
+    json_t *value = take(r, key);
+    if (!value)
+        return false;
+    bool ok = true;
+    if (json_is_array(value) && json_array_size(value) == 3) {
+        for (size_t i = 0; i < 3 && ok; i++)
+            ok = in_range(r, key, json_array_get(value, i), low, high, &out[i]);
+    } else if (json_is_number(value)) {
+        ok = in_range(r, key, value, low, high, &out[0]);
+        out[1] = out[2] = out[0];
+    } else {
+        ok = false;
+        fail(r, key, "must be a number or three, [R, G, B]");
+    }
+    json_decref(value);
+    return ok;
+}
+
+static bool get_rgb_float(reader *r, const char *key, double low, double high, float out[3])
+{
+    double values[3];
+    if (!get_rgb(r, key, low, high, values))
+        return false;
+    for (int i = 0; i < 3; i++)
+        out[i] = (float)values[i];
+    return true;
+}
+
+/* Copies a string that must fit a name. */
+static bool get_string(reader *r, const char *key, char out[LUM_NAME_SIZE])
+{
+    json_t *value = take(r, key);
+    if (!value)
+        return false;
+    const char *s = json_string_value(value);
+    bool ok = s && *s && strlen(s) < LUM_NAME_SIZE;
+    if (ok)
+        lum_copy_name(out, s, "", 0);
+    else
+        fail(r, key, s ? "must have 1 to %d characters" : "must be a string", LUM_NAME_SIZE - 1);
+    json_decref(value);
+    return ok;
+}
+
+static int get_choice(reader *r, const char *key, const char *const *choices, int count, const char *list, int otherwise)
+{
+    char name[LUM_NAME_SIZE];
+    if (!get_string(r, key, name))
+        return otherwise;
+    for (int i = 0; i < count; i++)
+        if (strcmp(name, choices[i]) == 0)
+            return i;
+    fail(r, key, "\"%.40s\" is not one of %s", name, list);
+    return otherwise;
+}
+
+/* Opens the object of a key for reading; false when absent. */
+static bool open_object(reader *r, const char *key, reader *inner)
+{
+    json_t *value = take(r, key);
+    if (!value)
+        return false;
+    if (!json_is_object(value)) {
+        fail(r, key, "must be an object");
+        json_decref(value);
+        return false;
+    }
+    *inner = (reader){.object = value, .err = r->err};
+    snprintf(inner->path, sizeof inner->path, "%.100s%s%.20s", r->path, *r->path ? "." : "", key);
+    return true;
+}
+
+/* Refuses what nobody has read. */
+static void check_rest(reader *r)
+{
+    json_decref(take(r, "comment"));
+    const char *key;
+    json_t *value;
+    if (r->result)
+        return;
+    json_object_foreach (r->object, key, value)
+        fail(r, "", "unknown key \"%.60s\"; see docs/recipe.md", key);
+}
+
+static void close_object(reader *r, reader *inner)
+{
+    check_rest(inner);
+    json_decref(inner->object);
+    if (!r->result)
+        r->result = inner->result;
+}
+
+/* ------------------------------------------------------------------------------------------------------------- entries */
+
+static void read_emitter(reader *r, lum_recipe_entry *e)
+{
+    reader in;
+    if (!open_object(r, "emitter", &in))
+        return;
+    e->emitter = true;
+    bool lumens = get_number(&in, "lumens", 1e-12, 1e12, &e->lumens);
+    bool luminance = get_number(&in, "luminance", 1e-12, 1e15, &e->luminance);
+    if (lumens == luminance)
+        fail(&in, "", lumens ? "give either \"lumens\" or \"luminance\" (cd/m2)" : "needs \"lumens\" or \"luminance\" (cd/m2)");
+    double kelvin;
+    bool colour = get_rgb(&in, "color", 0, 1e12, e->color);
+    bool temperature = get_number(&in, "kelvin", LUM_KELVIN_MIN, LUM_KELVIN_MAX, &kelvin);
+    if (colour && temperature)
+        fail(&in, "", "give either \"color\" or \"kelvin\"");
+    if (temperature) {
+        lum_planckian(kelvin, e->color);
+    } else if (!colour) {
+        e->color[0] = e->color[1] = e->color[2] = 1;
+    } else {
+        double y = 0.2126 * e->color[0] + 0.7152 * e->color[1] + 0.0722 * e->color[2];
+        if (!(y > 0))
+            fail(&in, "color", "is black");
+        for (int i = 0; i < 3 && y > 0; i++)
+            e->color[i] /= y;
+    }
+    static const char *const sides[] = {"front", "both", "outside"};
+    e->sides = (lum_sides)get_choice(&in, "sides", sides, 3, "front, both, outside", LUM_SIDES_FRONT);
+    close_object(r, &in);
+}
+
+static void set_finish(reader *r, const char *key, lum_recipe_entry *e, lum_finish finish)
+{
+    if (e->finish != LUM_FINISH_NONE)
+        fail(r, key, "the entry says two things about the same surface; split it in two, the later one wins");
+    e->finish = finish;
+}
+
+static void get_roughness(reader *r, lum_recipe_entry *e)
+{
+    double x;
+    if (get_number(r, "roughness", 0, 1, &x))
+        e->roughness = (float)x;
+}
+
+static void read_glass(reader *r, lum_recipe_entry *e)
+{
+    reader in;
+    if (!open_object(r, "glass", &in))
+        return;
+    set_finish(&in, "", e, LUM_FINISH_GLASS);
+    if (!get_number(&in, "ior", 1, 4, &e->ior))
+        e->ior = 1.5;
+    e->thin = false;
+    get_bool(&in, "thin", &e->thin);
+    e->has_thin = true;
+    get_roughness(&in, e);
+    double color[3], distance;
+    bool absorption = get_rgb_float(&in, "absorption", 0, 1e9, e->absorption);
+    bool coloured = get_rgb(&in, "attenuation_color", 1e-30, 1, color);
+    bool distant = get_number(&in, "attenuation_distance", 1e-9, 1e9, &distance);
+    if (coloured != distant || (coloured && absorption))
+        fail(&in, "", "give \"absorption\" (1/m), or \"attenuation_color\" and \"attenuation_distance\" (m) together");
+    if (coloured && distant)
+        for (int i = 0; i < 3; i++)
+            e->absorption[i] = (float)(-log(color[i]) / distance);
+    if (e->thin && (absorption || coloured))
+        fail(&in, "", "a thin wall has no inside to absorb light in; leave the absorption out or set \"thin\" to false");
+    close_object(r, &in);
+}
+
+static void read_mirror(reader *r, lum_recipe_entry *e)
+{
+    reader in;
+    if (!open_object(r, "mirror", &in))
+        return;
+    set_finish(&in, "", e, LUM_FINISH_MIRROR);
+    if (!get_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
+        fail(&in, "reflectance", "is missing");
+    get_roughness(&in, e);
+    close_object(r, &in);
+}
+
+static void read_conductor(reader *r, lum_recipe_entry *e)
+{
+    reader in;
+    if (!open_object(r, "conductor", &in))
+        return;
+    set_finish(&in, "", e, LUM_FINISH_CONDUCTOR);
+    char metal[LUM_NAME_SIZE];
+    bool named = get_string(&in, "metal", metal);
+    bool eta = get_rgb_float(&in, "eta", 1e-6, 1e3, e->eta), k = get_rgb_float(&in, "k", 0, 1e3, e->k);
+    if (named == (eta || k) || eta != k)
+        fail(&in, "", "give \"metal\", or \"eta\" and \"k\" together");
+    if (named && !lum_metal(metal, e->eta, e->k))
+        fail(&in, "metal", "\"%.40s\" is not one of %s", metal, lum_metal_names());
+    get_roughness(&in, e);
+    close_object(r, &in);
+}
+
+static void read_diffuse(reader *r, lum_recipe_entry *e)
+{
+    reader in;
+    if (!open_object(r, "diffuse", &in))
+        return;
+    set_finish(&in, "", e, LUM_FINISH_DIFFUSE);
+    if (!get_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
+        fail(&in, "reflectance", "is missing");
+    close_object(r, &in);
+}
+
+static double largest(const float rgb[3])
+{
+    return fmax(fmax((double)rgb[0], (double)rgb[1]), (double)rgb[2]);
+}
+
+static void read_diffuse_transmission(reader *r, lum_recipe_entry *e)
+{
+    reader in;
+    if (!open_object(r, "diffuse_transmission", &in))
+        return;
+    set_finish(&in, "", e, LUM_FINISH_DIFFUSE_TRANSMISSION);
+    if (!get_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
+        fail(&in, "reflectance", "is missing");
+    if (!get_rgb_float(&in, "transmittance", 0, 1, e->transmittance))
+        fail(&in, "transmittance", "is missing");
+    /* The rounding of two floats to decimal and back. */
+    if (largest(e->reflectance) + largest(e->transmittance) > 1 + 0x1p-22)
+        fail(&in, "", "reflectance and transmittance together exceed 1");
+    close_object(r, &in);
+}
+
+static void read_entry_keys(reader *r, lum_recipe_entry *e)
+{
+    static const char *const targets[] = {"any", "material", "mesh", "node"};
+    if (!get_string(r, "match", e->match))
+        fail(r, "match", "is missing: the name of a material, mesh or node");
+    e->target = (lum_target)get_choice(r, "target", targets, 4, "any, material, mesh, node", LUM_TARGET_ANY);
+    bool black = false;
+    get_bool(r, "leave_out", &e->leave_out);
+    get_bool(r, "no_emission", &e->no_emission);
+    read_emitter(r, e);
+    read_glass(r, e);
+    read_mirror(r, e);
+    read_conductor(r, e);
+    read_diffuse(r, e);
+    read_diffuse_transmission(r, e);
+    if (get_bool(r, "black", &black) && black)
+        set_finish(r, "black", e, LUM_FINISH_BLACK);
+    double ior;
+    bool thin, has_thin = get_bool(r, "thin", &thin), has_ior = get_number(r, "ior", 1, 4, &ior);
+    if ((has_thin || has_ior) && e->finish != LUM_FINISH_NONE)
+        fail(r, has_thin ? "thin" : "ior", "belongs inside \"glass\" when the entry names a surface");
+    if (has_thin) {
+        e->thin = thin;
+        e->has_thin = true;
+    }
+    if (has_ior)
+        e->ior = ior;
+    if (e->emitter && e->no_emission)
+        fail(r, "no_emission", "contradicts \"emitter\"");
+    if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && e->ior == 0 && e->finish == LUM_FINISH_NONE)
+        fail(r, "", "says nothing about \"%.60s\"", e->match);
+}
+
+/* Reads one entry and adds it. */
+static lmg_result add_entry(lum_recipe *recipe, json_t *object, const char *where, lmg_error *err)
+{
+    lum_recipe_entry e = {.sides = LUM_SIDES_FRONT};
+    snprintf(e.where, sizeof e.where, "%.120s", where);
+    reader r = {.object = object, .err = err};
+    snprintf(r.path, sizeof r.path, "%.100s", where);
+    if (!json_is_object(object))
+        return lmg_fail(err, LMG_ERROR_INPUT, "%s: must be an object", where);
+    read_entry_keys(&r, &e);
+    check_rest(&r);
+    if (r.result)
+        return r.result;
+    lum_recipe_entry *grown = realloc(recipe->entries, (recipe->entry_count + 1u) * sizeof *grown);
+    if (!grown)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory");
+    recipe->entries = grown;
+    recipe->entries[recipe->entry_count++] = e;
+    return LMG_OK;
+}
+
+/* --------------------------------------------------------------------------------------------------------------- whole */
+
+static void read_globals(lum_recipe *recipe, reader *r)
+{
+    get_number(r, "scale", 1e-9, 1e9, &recipe->scale);
+    get_number(r, "flux", 1e-12, 1e12, &recipe->flux);
+}
+
+static lmg_result read_document(lum_recipe *recipe, json_t *root, lmg_error *err)
+{
+    reader r = {.object = root, .err = err};
+    if (!json_is_object(root))
+        return lmg_fail(err, LMG_ERROR_INPUT, "a recipe is an object, { ... }; see docs/recipe.md");
+    read_globals(recipe, &r);
+    json_t *entries = take(&r, "entries");
+    if (entries && !json_is_array(entries))
+        fail(&r, "entries", "must be an array");
+    for (size_t i = 0; !r.result && i < json_array_size(entries); i++) {
+        char where[40];
+        snprintf(where, sizeof where, "entries[%zu]", i);
+        r.result = add_entry(recipe, json_array_get(entries, i), where, err);
+    }
+    json_decref(entries);
+    check_rest(&r);
+    return r.result;
+}
+
+lmg_result lum_recipe_create(lum_recipe **out, lmg_error *err)
+{
+    *out = calloc(1, sizeof **out);
+    if (!*out)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory");
+    (*out)->scale = 1;
+    (*out)->hash = LUM_HASH_START;
+    return LMG_OK;
+}
+
+void lum_recipe_destroy(lum_recipe *recipe)
+{
+    if (recipe)
+        free(recipe->entries);
+    free(recipe);
+}
+
+lmg_result lum_recipe_read(const char *path, lum_recipe **out, lmg_error *err)
+{
+    lum_recipe *recipe;
+    *out = NULL;
+    LUM_TRY(lum_recipe_create(&recipe, err));
+    uint8_t *text = NULL;
+    size_t size = 0;
+    json_t *root = NULL;
+    lmg_result result = lum_read_file(path, MAX_RECIPE_BYTES, &text, &size, err);
+    if (!result) {
+        json_error_t e;
+        root = json_loadb((const char *)text, size, JSON_REJECT_DUPLICATES, &e);
+        if (!root)
+            result = lmg_fail(err, LMG_ERROR_INPUT, "not JSON: line %d, column %d: %.200s", e.line, e.column, e.text);
+    }
+    if (!result)
+        result = read_document(recipe, root, err);
+    if (!result)
+        recipe->hash = lum_fnv1a(recipe->hash, text, size);
+    json_decref(root);
+    free(text);
+    if (result) {
+        lum_prefix_error(err, lum_base_name(path));
+        lum_recipe_destroy(recipe);
+        return result;
+    }
+    *out = recipe;
+    return LMG_OK;
+}
+
+/* --------------------------------------------------------------------------------------------------------- shorthands */
+
+/* The value of a shorthand, cut at its commas. */
+typedef struct words {
+    char text[LUM_NAME_SIZE];
+    char *word[4];
+    int count;
+} words;
+
+static bool cut(const char *value, words *w)
+{
+    if (strlen(value) >= sizeof w->text)
+        return false;
+    strcpy(w->text, value);
+    w->count = 0;
+    for (char *p = w->text; p; w->count++) {
+        if (w->count == 4)
+            return false;
+        w->word[w->count] = p;
+        p = strchr(p, ',');
+        if (p)
+            *p++ = 0;
+    }
+    return true;
+}
+
+/* A number followed by nothing but the unit. */
+static bool quantity(const char *text, const char *unit, double *out)
+{
+    char *end;
+    *out = strtod(text, &end);
+    return end != text && strcmp(end, unit) == 0 && isfinite(*out);
+}
+
+/* {"emitter": {...}} of "800lm", "9500cd/m2", with ",2700K" and ",both" or ",outside" after it in any order. */
+static json_t *emitter_words(const words *w)
+{
+    json_t *e = json_object();
+    double x;
+    for (int i = 0; i < w->count; i++) {
+        if (quantity(w->word[i], "lm", &x)) {
+            json_object_set_new(e, "lumens", json_real(x));
+        } else if (quantity(w->word[i], "cd/m2", &x)) {
+            json_object_set_new(e, "luminance", json_real(x));
+        } else if (quantity(w->word[i], "K", &x)) {
+            json_object_set_new(e, "kelvin", json_real(x));
+        } else if (strcmp(w->word[i], "front") == 0 || strcmp(w->word[i], "both") == 0 || strcmp(w->word[i], "outside") == 0) {
+            json_object_set_new(e, "sides", json_string(w->word[i]));
+        } else {
+            json_decref(e);
+            return NULL;
+        }
+    }
+    return e;
+}
+
+/* {first: number, second: number} of "0.9" or "0.9,0.1"; text is kept where first is a name. */
+static json_t *pair_words(const words *w, const char *first, const char *second, bool named)
+{
+    double a = 0, b = 0;
+    if (w->count > 2 || (!named && !quantity(w->word[0], "", &a)) || (w->count == 2 && (!second || !quantity(w->word[1], "", &b))))
+        return NULL;
+    json_t *e = json_object();
+    json_object_set_new(e, first, named ? json_string(w->word[0]) : json_real(a));
+    if (w->count == 2)
+        json_object_set_new(e, second, json_real(b));
+    return e;
+}
+
+typedef enum form { FORM_FLAG, FORM_EMITTER, FORM_PAIR, FORM_NAMED_PAIR } form;
+
+static const struct shorthand {
+    const char *verb, *key;
+    form form;
+    bool value; /* of a flag */
+    const char *first, *second;
+} shorthands[] = {
+    {"emitter", "emitter", FORM_EMITTER, true, NULL, NULL},
+    {"no-emission", "no_emission", FORM_FLAG, true, NULL, NULL},
+    {"thin", "thin", FORM_FLAG, true, NULL, NULL},
+    {"solid", "thin", FORM_FLAG, false, NULL, NULL},
+    {"black", "black", FORM_FLAG, true, NULL, NULL},
+    {"leave-out", "leave_out", FORM_FLAG, true, NULL, NULL},
+    {"glass", "glass", FORM_PAIR, true, "ior", "roughness"},
+    {"mirror", "mirror", FORM_PAIR, true, "reflectance", "roughness"},
+    {"conductor", "conductor", FORM_NAMED_PAIR, true, "metal", "roughness"},
+    {"diffuse", "diffuse", FORM_PAIR, true, "reflectance", NULL},
+    {"diffuse-transmission", "diffuse_transmission", FORM_PAIR, true, "reflectance", "transmittance"},
+};
+
+/* Turns "verb:name=value" into the JSON of an entry; NULL when it isn't one. */
+static json_t *shorthand_entry(const struct shorthand *s, const char *name_and_value)
+{
+    char name[2 * LUM_NAME_SIZE];
+    const char *equals = s->form == FORM_FLAG ? NULL : strrchr(name_and_value, '=');
+    size_t n = equals ? (size_t)(equals - name_and_value) : strlen(name_and_value);
+    words w;
+    if (n == 0 || n >= sizeof name || (s->form != FORM_FLAG && (!equals || !cut(equals + 1, &w))))
+        return NULL;
+    memcpy(name, name_and_value, n);
+    name[n] = 0;
+    json_t *value = s->form == FORM_FLAG      ? json_boolean(s->value)
+                    : s->form == FORM_EMITTER ? emitter_words(&w)
+                                              : pair_words(&w, s->first, s->second, s->form == FORM_NAMED_PAIR);
+    if (!value)
+        return NULL;
+    json_t *entry = json_object();
+    json_object_set_new(entry, "match", json_string(name));
+    json_object_set_new(entry, s->key, value);
+    return entry;
+}
+
+static lmg_result bad_shorthand(const char *text, lmg_error *err)
+{
+    return lmg_fail(err, LMG_ERROR_ARGUMENT,
+                    "recipe shorthand \"%.80s\" is not understood; examples: emitter:Bulb=800lm,2700K  emitter:Tube=9500cd/m2  thin:Glass  "
+                    "solid:Lens  no-emission:Shade  mirror:Reflector=0.9,0.1  conductor:Rim=aluminium  diffuse:Casing=0.8  glass:Lens=1.5  "
+                    "diffuse-transmission:Globe=0.4,0.5  black:Socket  leave-out:Pole  scale=0.001  flux=800lm",
+                    text);
+}
+
+lmg_result lum_recipe_add(lum_recipe *recipe, const char *shorthand, lmg_error *err)
+{
+    double x;
+    lmg_result result = LMG_OK;
+    if (strncmp(shorthand, "scale=", 6) == 0 || strncmp(shorthand, "flux=", 5) == 0) {
+        bool scale = shorthand[0] == 's';
+        if (!quantity(shorthand + (scale ? 6 : 5), scale ? "" : "lm", &x))
+            return bad_shorthand(shorthand, err);
+        json_t *object = json_pack("{s:f}", scale ? "scale" : "flux", x);
+        reader r = {.object = object, .err = err};
+        read_globals(recipe, &r);
+        json_decref(object);
+        result = r.result;
+    } else {
+        const char *colon = strchr(shorthand, ':');
+        const struct shorthand *s = NULL;
+        for (size_t i = 0; colon && i < sizeof shorthands / sizeof *shorthands; i++)
+            if (strlen(shorthands[i].verb) == (size_t)(colon - shorthand) &&
+                strncmp(shorthands[i].verb, shorthand, (size_t)(colon - shorthand)) == 0)
+                s = &shorthands[i];
+        json_t *entry = s ? shorthand_entry(s, colon + 1) : NULL;
+        if (!entry)
+            return bad_shorthand(shorthand, err);
+        char where[LUM_NAME_SIZE];
+        snprintf(where, sizeof where, "\"%.100s\"", shorthand);
+        result = add_entry(recipe, entry, where, err);
+        json_decref(entry);
+    }
+    if (!result)
+        recipe->hash = lum_fnv1a(recipe->hash, shorthand, strlen(shorthand) + 1);
+    else
+        lum_prefix_error(err, "recipe");
+    return result;
+}
