@@ -230,6 +230,14 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
     return true;
 }
 
+/* The next distance after t that Embree tells from it: tracing threads take denormal numbers for zero, so the next one after 0 is the
+ * least normal number. */
+static inline float beyond(float t)
+{
+    float next = nextafterf(t, INFINITY);
+    return next < FLT_MIN ? FLT_MIN : next;
+}
+
 /* Closest hit between `near` and `far`, as Embree sees it. */
 static inline bool trace(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, float near, float far, struct RTCRayHit *rayhit)
 {
@@ -252,7 +260,7 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
             return true;
         }
         /* Not met in truth.  It was the closest that Embree found, so all others lie beyond. */
-        near = nextafterf(rayhit.ray.tfar, INFINITY);
+        near = beyond(rayhit.ray.tfar);
     }
     return false;
 }
@@ -269,7 +277,7 @@ bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direct
             /* Hits are exact, so what is closer than the end by an origin's offset is in between. */
             return hit.t < distance - hit.error;
         }
-        near = nextafterf(rayhit.ray.tfar, INFINITY);
+        near = beyond(rayhit.ray.tfar);
     }
     return false;
 }
