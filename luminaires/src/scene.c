@@ -9,6 +9,7 @@
 
 #include <embree3/rtcore.h>
 #include <fenv.h>
+#include <float.h>
 #include <stdlib.h>
 #include <string.h>
 #include <xmmintrin.h>
