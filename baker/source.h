@@ -26,7 +26,8 @@ struct bake_source {
     lmg_vec3 bounds_min, bounds_max; /* luminaire frame, metres */
 };
 
-/* Photons through a luminaire's real geometry (tracer.c).  model: what lum_model_load gave, borrowed until destroy. */
+/* Photons through a luminaire's real geometry (tracer.c).  model: what lum_model_load gave, borrowed until destroy.  flux: the model's
+ * rated flux if its recipe gives one, else what its emitters emit.  Errors: LMG_ERROR_INPUT when nothing in the model emits light. */
 struct lum_model;
 lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake_source **out, lmg_error *err);
 

@@ -403,6 +403,8 @@ lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake
             result = lmg_fail(err, LMG_ERROR_INPUT,
                               "%s: nothing in the model emits light; declare an emitter in a recipe or with --set emitter:NAME=800lm",
                               model->path);
+        if (model->rated_flux > 0)
+            t->source.flux = model->rated_flux;
     }
     if (result == LMG_OK)
         result = lum_scene_create(model, &t->scene, err);
