@@ -8,15 +8,29 @@ static const double GREY = 0.18;
 static const double KNEE = 0.4;
 static const double WHITE = 32;
 
+/* Automatic exposure looks at this many blocks along the shorter side. */
+enum { BLOCKS = 40 };
+
 double view_exposure_auto(const view_image *image)
 {
+    /* Means of small blocks: the logarithm of a noisy pixel would be too low on average. */
+    uint32_t shorter = image->width < image->height ? image->width : image->height, block = (shorter + BLOCKS - 1) / BLOCKS;
     double sum = 0;
-    size_t count = 0, pixels = (size_t)image->width * image->height;
-    for (size_t i = 0; i < pixels; i++) {
-        double y = lmg_luminance(&image->rgb[3 * i]);
-        if (y > 0) {
-            sum += log(y);
-            count++;
+    size_t count = 0;
+    for (uint32_t y0 = 0; y0 < image->height; y0 += block) {
+        for (uint32_t x0 = 0; x0 < image->width; x0 += block) {
+            double mean = 0;
+            uint32_t n = 0;
+            for (uint32_t y = y0; y < y0 + block && y < image->height; y++) {
+                for (uint32_t x = x0; x < x0 + block && x < image->width; x++) {
+                    mean += lmg_luminance(&image->rgb[3 * ((size_t)y * image->width + x)]);
+                    n++;
+                }
+            }
+            if (mean > 0) {
+                sum += log(mean / n);
+                count++;
+            }
         }
     }
     return count ? exp(sum / (double)count) : 1;

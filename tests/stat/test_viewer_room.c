@@ -1,0 +1,294 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Global illumination in the viewer: the balance of a closed white room, a lamp by its box and by its geometry, threads.
+ *
+ * Statistics: as in test_viewer_light.c.  Null hypothesis: equal expectations.  Single means are rejected beyond 4 standard errors;
+ * sums of squares over blocks beyond the value that a chi-square distribution exceeds with a probability of 1e-4 (Wilson and
+ * Hilferty 1931).
+ */
+#include "room_fixture.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <cmocka.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+static const double REJECT = 4;
+static const view_path_options ENDLESS = {.max_depth = UINT32_MAX};
+
+/* Photon-like rays of a Lambertian sphere of radius r around the origin, flux 1 each, into a fitted box. */
+static lmg_field *sphere_field(double r, double flux)
+{
+    enum { RAYS = 400000 };
+    lmg_error err = {""};
+    lmg_ray *rays = malloc(RAYS * sizeof *rays);
+    assert_non_null(rays);
+    lum_rng rng = lum_rng_stream(7, 7);
+    for (uint64_t i = 0; i < RAYS; i++) {
+        double y = 2 * lum_rng_next(&rng) - 1, phi = 2 * VIEW_PI * lum_rng_next(&rng), q = sqrt(1 - y * y);
+        lmg_vec3 n = {q * cos(phi), y, q * sin(phi)};
+        double u = lum_rng_next(&rng), psi = 2 * VIEW_PI * lum_rng_next(&rng);
+        lmg_vec3 t = view_unit(view_cross(n, fabs(n.x) < 0.5 ? (lmg_vec3){1, 0, 0} : (lmg_vec3){0, 1, 0})), b = view_cross(n, t);
+        lmg_vec3 d =
+            view_add(view_scale(n, sqrt(1 - u)), view_add(view_scale(t, sqrt(u) * cos(psi)), view_scale(b, sqrt(u) * sin(psi))));
+        rays[i] = (lmg_ray){.origin = view_scale(n, r), .direction = view_unit(d), .flux = {1, 1, 1}, .number = i};
+    }
+    /* The bounds stand off the sphere a little and unevenly. */
+    lmg_fit_options fit = {.struct_size = sizeof fit,
+                           .cells = 200000,
+                           .bounds_min = {-r - 0.01, -r - 0.02, -r - 0.03},
+                           .bounds_max = {r + 0.01, r + 0.02, r + 0.03}};
+    lmg_layout layout;
+    lmg_accumulator *acc = NULL;
+    lmg_field *field = NULL;
+    char report[1024];
+    if (lmg_layout_fit(rays, RAYS, &fit, &layout, report, &err) != LMG_OK ||
+        lmg_accumulator_create(&layout, &acc, &err) != LMG_OK) {
+        fail_msg("%s", err.message);
+    }
+    lmg_accumulator_deposit(acc, rays, RAYS);
+    lmg_ledger ledger = {.photons = RAYS, .emitted = flux, .stored = flux};
+    assert_int_equal(lmg_field_reconstruct(acc, flux / RAYS, &ledger, &field, &err), LMG_OK);
+    lmg_accumulator_destroy(acc);
+    free(rays);
+    return field;
+}
+
+/*
+ * In a closed room whose walls all have the albedo rho, what a lamp gives is what the walls absorb: flux = (1 - rho) S E, with E
+ * the mean illuminance.  Six cameras in the middle, inside the box's bounds, look at one wall each in pixels of equal area.
+ */
+static void closed_room_balance(void **state)
+{
+    (void)state;
+    static const double SIDE = 3, FLUX = 1234.5;
+    static const double RHO[] = {0.5, 0.8};
+    lmg_error err;
+    for (size_t k = 0; k < 2; k++) {
+        const double lower[3] = {1, 0, -2}, upper[3] = {1 + SIDE, SIDE, -2 + SIDE};
+        room_rectangle walls[6];
+        room_walls(lower, upper, RHO[k], walls);
+        view_scene *scene = scene_of(walls, 6);
+        lmg_field *field = sphere_field(0.1, FLUX);
+        double stored = 0;
+        for (uint32_t i = 0; i < lmg_field_layout(field)->slab_count; i++) {
+            stored += lmg_field_slab_flux(field, i, NULL);
+        }
+        assert_true(fabs(stored - FLUX) < 1e-6 * FLUX);
+        const double m[3] = {1 + SIDE / 2, SIDE / 2, -2 + SIDE / 2};
+        const view_placement placement = {.position = {m[0], m[1], m[2]}, .rx = 20, .ry = 30, .rz = 40};
+        assert_int_equal(view_scene_adopt_box(scene, field, &placement, 0, &err), LMG_OK);
+        assert_int_equal(view_scene_finish(scene, &err), LMG_OK);
+        static const double LOOK[6][3] = {{1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}};
+        double mean = 0, variance = 0;
+        for (int i = 0; i < 6; i++) {
+            view_camera camera = camera_at(scene, m[0], m[1], m[2], m[0] + LOOK[i][0], m[1] + LOOK[i][1], m[2] + LOOK[i][2], 90);
+            measurement wall = measure(scene, &camera, 48, 48, 32, 31 + (uint64_t)i, ENDLESS);
+            assert_true(wall.refused == 0);
+            mean += wall.mean / 6;
+            variance += wall.se * wall.se / 36;
+        }
+        double e = mean * VIEW_PI / RHO[k], se = sqrt(variance) * VIEW_PI / RHO[k],
+               wanted = FLUX / (6 * SIDE * SIDE * (1 - RHO[k]));
+        print_message("closed room, albedo %g: %.5g +- %.2g lx, wanted %.5g: %+.1f se\n", RHO[k], e, se, wanted, (e - wanted) / se);
+        assert_true(fabs(e - wanted) <= REJECT * se);
+        assert_true(REJECT * se < 0.02 * wanted);
+        view_scene_destroy(scene);
+    }
+}
+
+/* The value that a chi-square distribution with n degrees of freedom exceeds with a probability of 1e-4. */
+static double chi_square_limit(double n)
+{
+    double c = 2 / (9 * n), z = 3.719;
+    return n * pow(1 - c + z * sqrt(c), 3);
+}
+
+/* Sum over blocks of (a - b)^2 / (se_a^2 + se_b^2). */
+static double chi_square(const view_image *a, const view_image *b, double factor, int *blocks)
+{
+    enum { BLOCK = 8 };
+    double sum = 0;
+    *blocks = 0;
+    for (uint32_t y = 0; y < a->height; y += BLOCK) {
+        for (uint32_t x = 0; x < a->width; x += BLOCK) {
+            double difference = 0, variance = 0;
+            for (uint32_t i = 0; i < BLOCK * BLOCK; i++) {
+                size_t p = (size_t)(y + i / BLOCK) * a->width + x + i % BLOCK;
+                difference += lmg_luminance(&a->rgb[3 * p]) * factor - lmg_luminance(&b->rgb[3 * p]);
+                variance += (double)a->standard_error[p] * (double)a->standard_error[p] +
+                            (double)b->standard_error[p] * (double)b->standard_error[p];
+            }
+            sum += difference * difference / variance;
+            ++*blocks;
+        }
+    }
+    return sum;
+}
+
+static view_image picture(const view_scene *scene, const view_camera *camera, uint32_t side, uint32_t samples, uint64_t seed)
+{
+    lmg_error err;
+    view_render *render = NULL;
+    view_image image;
+    view_render_options options = {.width = side, .height = side, .seed = seed, .path = ENDLESS};
+    assert_int_equal(view_render_create(scene, camera, &options, &render, &err), LMG_OK);
+    assert_int_equal(view_render_pass(render, samples, NULL, &err), LMG_OK);
+    assert_int_equal(view_image_create(side, side, &image, &err), LMG_OK);
+    view_render_resolve(render, &image);
+    view_render_destroy(render);
+    return image;
+}
+
+/*
+ * A panel lamp on a tilted ceiling panel, as a box and as geometry: the same picture.  The lamp's own surface and the ceiling right
+ * behind it are black, since a box is transparent for light that comes back and its geometry isn't; and the camera doesn't see the
+ * lamp.
+ */
+static void box_and_geometry_agree(void **state)
+{
+    (void)state;
+    static const double X0 = -0.4, X1 = 0.5, Z0 = -0.3, Z1 = 0.2, L = 1850, H = 2.4;
+    lmg_error err = {""};
+    const double lower[3] = {-2, 0, -1.5}, upper[3] = {2, 2.5, 1.5};
+    room_rectangle walls[7];
+    room_walls(lower, upper, 0.6, walls);
+    walls[1].albedo = 0; /* the ceiling */
+    walls[6] =
+        (room_rectangle){.corner = {-0.5, 0, -0.3}, .e1 = {0.2, 0.9, 0}, .e2 = {0, 0.1, 0.8}, .albedo = 0.7}; /* casts a shadow */
+    const view_placement placement = {.position = {0.2, H, 0.1}, .ry = 25};
+    static const float WHITE[3] = {1, 1, 1};
+
+    view_scene *boxed = scene_of(walls, 7), *built = scene_of(walls, 7);
+    assert_int_equal(view_scene_adopt_box(boxed, panel_field(X0, X1, Z0, Z1, 0.05, WHITE, L), &placement, 0, &err), LMG_OK);
+    assert_int_equal(view_scene_finish(boxed, &err), LMG_OK);
+
+    char folder[] = "/tmp/lumibox-lamp-XXXXXX", path[64];
+    assert_non_null(mkdtemp(folder));
+    snprintf(path, sizeof path, "%s/lamp.gltf", folder);
+    const room_rectangle lamp = {.corner = {X0, 0, Z0}, .e1 = {X1 - X0, 0, 0}, .e2 = {0, 0, Z1 - Z0}, .luminance = L};
+    room_write(path, &lamp, 1);
+    lmg_result r = view_scene_add_lamp(built, path, NULL, &placement, 0, &err);
+    unlink(path);
+    rmdir(folder);
+    if (r != LMG_OK) {
+        fail_msg("%s", err.message);
+    }
+    assert_int_equal(view_scene_finish(built, &err), LMG_OK);
+    assert_true(fabs(built->objects[1].flux - panel_flux(X0, X1, Z0, Z1, L)) < 1e-5 * built->objects[1].flux);
+
+    /* Down into a corner: floor, two walls, the tilted rectangle and its shadow. */
+    view_camera camera = camera_at(boxed, 1.8, 1.9, 1.3, -0.6, 0.2, -0.4, 55);
+    view_image a = picture(boxed, &camera, 64, 96, 41), b = picture(built, &camera, 64, 96, 42);
+    int blocks;
+    double same = chi_square(&a, &b, 1, &blocks), mutant = chi_square(&a, &b, 1.03, &blocks), limit = chi_square_limit(blocks);
+    print_message("box against geometry: chi-square %.1f for %d blocks (limit %.1f); with 3 %% more light %.1f\n", same, blocks,
+                  limit, mutant);
+    assert_true(same < limit);
+    assert_true(mutant > limit);
+    view_image_free(&a);
+    view_image_free(&b);
+    view_scene_destroy(boxed);
+    view_scene_destroy(built);
+}
+
+/* The same bits on 1, 2 and 5 threads, in one pass and in three; other bits for another seed. */
+static void threads_change_nothing(void **state)
+{
+    (void)state;
+    lmg_error err;
+    const double lower[3] = {-2, 0, -1.5}, upper[3] = {2, 2.5, 1.5};
+    room_rectangle walls[6];
+    room_walls(lower, upper, 0.6, walls);
+    walls[2].luminance = 90;
+    view_scene *scene = scene_of(walls, 6);
+    static const float COLOR[3] = {0.7f, 1, 0.9f};
+    const view_placement placement = {.position = {0.2, 2, 0.1}, .rx = 12, .ry = 25};
+    assert_int_equal(view_scene_adopt_box(scene, panel_field(-0.2, 0.3, -0.1, 0.2, 0.05, COLOR, 2000), &placement, 0, &err),
+                     LMG_OK);
+    assert_int_equal(view_scene_finish(scene, &err), LMG_OK);
+    view_camera camera = camera_at(scene, 1.8, 1.9, 1.3, -0.6, 0.2, -0.4, 55);
+    static const struct {
+        unsigned threads;
+        uint32_t passes[3];
+        uint64_t seed;
+    } RUN[4] = {{1, {6, 0, 0}, 5}, {2, {6, 0, 0}, 5}, {5, {1, 3, 2}, 5}, {2, {6, 0, 0}, 6}};
+    view_image image[4];
+    uint64_t rays[4];
+    for (int i = 0; i < 4; i++) {
+        view_render *render = NULL;
+        /* Sides that aren't multiples of a tile. */
+        view_render_options options = {.width = 50, .height = 37, .seed = RUN[i].seed, .threads = RUN[i].threads, .path = ENDLESS};
+        assert_int_equal(view_render_create(scene, &camera, &options, &render, &err), LMG_OK);
+        for (int k = 0; k < 3; k++) {
+            assert_int_equal(view_render_pass(render, RUN[i].passes[k], NULL, &err), LMG_OK);
+        }
+        assert_int_equal(view_image_create(50, 37, &image[i], &err), LMG_OK);
+        view_render_resolve(render, &image[i]);
+        view_render_state look = view_render_look(render);
+        rays[i] = look.rays;
+        assert_int_equal(look.samples_min, 6);
+        assert_int_equal(look.samples_max, 6);
+        view_render_destroy(render);
+    }
+    for (int i = 1; i < 4; i++) {
+        bool same = memcmp(image[0].rgb, image[i].rgb, 50 * 37 * 3 * sizeof(float)) == 0 &&
+                    memcmp(image[0].standard_error, image[i].standard_error, 50 * 37 * sizeof(float)) == 0;
+        assert_true(same == (i < 3));
+        assert_true((rays[i] == rays[0]) == (i < 3));
+    }
+    for (int i = 0; i < 4; i++) {
+        view_image_free(&image[i]);
+    }
+    view_scene_destroy(scene);
+}
+
+/* The standard error that a picture claims is the spread that it has over seeds. */
+static void errors_are_honest(void **state)
+{
+    (void)state;
+    lmg_error err;
+    const double lower[3] = {-2, 0, -1.5}, upper[3] = {2, 2.5, 1.5};
+    room_rectangle walls[6];
+    room_walls(lower, upper, 0.6, walls);
+    view_scene *scene = scene_of(walls, 6);
+    static const float WHITE[3] = {1, 1, 1};
+    const view_placement placement = {.position = {0.2, 2, 0.1}, .rx = 12, .ry = 25};
+    assert_int_equal(view_scene_adopt_box(scene, panel_field(-0.2, 0.3, -0.1, 0.2, 0.05, WHITE, 2000), &placement, 0, &err),
+                     LMG_OK);
+    assert_int_equal(view_scene_finish(scene, &err), LMG_OK);
+    view_camera camera = camera_at(scene, 1.8, 1.9, 1.3, -0.6, 0.2, -0.4, 55);
+    enum { SEEDS = 40 };
+    double sum = 0, squares = 0, claimed = 0;
+    for (int i = 0; i < SEEDS; i++) {
+        measurement m = measure(scene, &camera, 16, 16, 24, 100 + (uint64_t)i, ENDLESS);
+        sum += m.mean;
+        squares += m.mean * m.mean;
+        claimed += m.se * m.se / SEEDS;
+    }
+    double spread = (squares - sum * sum / SEEDS) / (SEEDS - 1), ratio = spread / claimed;
+    print_message("spread over %d seeds / claimed variance: %.3f\n", SEEDS, ratio);
+    /* ratio x 39 is chi-square distributed: between the 1e-4 quantiles of either side. */
+    assert_true(ratio * (SEEDS - 1) < chi_square_limit(SEEDS - 1));
+    double c = 2.0 / (9 * (SEEDS - 1));
+    assert_true(ratio > pow(1 - c - 3.719 * sqrt(c), 3));
+    view_scene_destroy(scene);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(closed_room_balance),
+        cmocka_unit_test(box_and_geometry_agree),
+        cmocka_unit_test(threads_change_nothing),
+        cmocka_unit_test(errors_are_honest),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
