@@ -30,12 +30,35 @@ static void gauss_legendre(int n, double *x, double *w)
     }
 }
 
-enum { MAX_POINTS = 256 };
+enum { LATTICE_POINTS = 2584 };
+
+/* What a facet with normal m (cosine ci with wi) lets get away: reflected, and for LUM_LOBE_BOUNDARY refracted. */
+static double facet_albedo(lum_lobe_kind kind, double alpha, double eta, lmg_vec3 wi, double lambda_i, lmg_vec3 m)
+{
+    double ci = fmin(vec_dot(wi, m), 1), sum = 0;
+    if (!(ci > 0 && m.z > 0)) {
+        return 0;
+    }
+    double f = kind == LUM_LOBE_METAL ? 1 : lum_fresnel_dielectric(ci, eta);
+    double z = fmin(2 * ci * m.z - wi.z, 1);
+    if (z > 0) {
+        sum = f * (1 + lambda_i) / (1 + lambda_i + ggx_lambda(alpha, z, (1 - z) * (1 + z)));
+    }
+    if (kind == LUM_LOBE_BOUNDARY && f < 1) {
+        double ct = sqrt(fmax(1 - (1 - ci) * (1 + ci) / (eta * eta), 0));
+        z = fmin(wi.z / eta - (ci / eta - ct) * m.z, 1);
+        if (z > 0) {
+            sum += (1 - f) / (1 + ggx_lambda(alpha, z, (1 - z) * (1 + z)));
+        }
+    }
+    return sum;
+}
 
 /*
- * The visible normals are h = c + v with c uniform over the spherical cap z > -v.z [Dupuy2023]: E is the mean over c of what a facet's
- * light gets away with.  Gauss-Legendre in the polar angle of c (the integrand is analytic there), midpoints in its azimuth, half of it
- * by symmetry.
+ * The visible normals are h = c + v (stretched by alpha) with c uniform over the spherical cap z > -v.z [Dupuy2023]: E is the mean over c
+ * of what a facet's light gets away with.  That has kinks, along curves, where a direction becomes horizontal and where total reflection
+ * begins, which product rules follow badly; a Fibonacci lattice [Niederreiter1992, ch. 5] meets each curve at as many different places
+ * as it has points.
  */
 double lum_lobe_albedo(lum_lobe_kind kind, double alpha, double eta, double mu, int n)
 {
@@ -43,44 +66,24 @@ double lum_lobe_albedo(lum_lobe_kind kind, double alpha, double eta, double mu, 
         return kind == LUM_LOBE_COAT ? lum_fresnel_dielectric(mu, eta) : 1;
     }
     mu = mu > 1e-9 ? mu : 1e-9; /* the limit at grazing */
-    double x[MAX_POINTS], w[MAX_POINTS];
-    n = n < MAX_POINTS ? n : MAX_POINTS;
-    gauss_legendre(n, x, w);
     lmg_vec3 wi = vec(sqrt((1 - mu) * (1 + mu)), 0, mu);
     lmg_vec3 v = vec_unit(vec(alpha * wi.x, 0, wi.z));
     double lambda_i = ggx_lambda(alpha, wi.z, wi.x * wi.x);
-    double top = acos(fmax(-v.z, -1)), sum = 0;
-    for (int i = 0; i < n; i++) {
-        double theta = top * x[i], s = sin(theta), c = cos(theta), ring = 0;
-        for (int k = 0; k < n; k++) {
-            double phi = LUM_PI * (k + 0.5) / n;
-            lmg_vec3 m = vec(alpha * (s * cos(phi) + v.x), alpha * s * sin(phi), c + v.z);
-            if (!(m.z > 0)) {
-                continue;
-            }
-            m = vec_unit(m);
-            double ci = vec_dot(wi, m);
-            if (!(ci > 0)) {
-                continue;
-            }
-            double f = kind == LUM_LOBE_METAL ? 1 : lum_fresnel_dielectric(ci, eta);
-            lmg_vec3 wo = vec_along(vec_scale(wi, -1), m, 2 * ci);
-            if (wo.z > 0) {
-                double lambda_o = ggx_lambda(alpha, wo.z, wo.x * wo.x + wo.y * wo.y);
-                ring += f * (1 + lambda_i) / (1 + lambda_i + lambda_o);
-            }
-            if (kind == LUM_LOBE_BOUNDARY && f < 1) {
-                double ct = sqrt(fmax(1 - (1 - ci * ci) / (eta * eta), 0));
-                wo = vec_along(vec_scale(wi, -1 / eta), m, ci / eta - ct);
-                if (wo.z < 0) {
-                    ring += (1 - f) / (1 + ggx_lambda(alpha, wo.z, wo.x * wo.x + wo.y * wo.y));
-                }
-            }
-        }
-        sum += w[i] * s * ring / n;
+    uint64_t count = 1, before = 1;
+    while (count < (uint64_t)n) {
+        uint64_t next = count + before;
+        before = count;
+        count = next;
     }
-    /* The mean over the cap, whose measure in cos(theta) is 1 + v.z. */
-    return sum * top / (1 + v.z);
+    double sum = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        double s, c, cz = 1 - ((double)i + 0.5) / (double)count * (1 + v.z);
+        double r = sqrt(fmax((1 - cz) * (1 + cz), 0)), z = cz + v.z;
+        sincos_turns((double)(i * before % count) / (double)count, &s, &c);
+        lmg_vec3 m = vec_unit(vec(alpha * (r * c + v.x), alpha * r * s, z > 0 ? z : 0x1p-60));
+        sum += facet_albedo(kind, alpha, eta, wi, lambda_i, m);
+    }
+    return sum / (double)count;
 }
 
 static double node(int j)
@@ -94,7 +97,7 @@ static void fill_lobe(lum_lobe *lobe, lum_lobe_kind kind, double alpha, double e
     for (int j = 0; j <= LUM_LOBE_SEGMENTS; j++) {
         /* At q = 0 the limit: taken a little above it, where the quadrature still resolves the lobe. */
         double mu = sqrt(j ? node(j) : 1e-3 * node(1));
-        double rest = 1 - lum_lobe_albedo(kind, alpha, eta, mu, 32);
+        double rest = 1 - lum_lobe_albedo(kind, alpha, eta, mu, LATTICE_POINTS);
         /* Never quite zero, so that the density stays defined for smooth surfaces that lose nothing; 1e-9 of the flux is below anything
          * that a simulation resolves. */
         lobe->rest[j] = rest > 1e-9 ? rest : 1e-9;

@@ -59,7 +59,7 @@ INLINE side side_of(const lum_surface *surface, lmg_vec3 wi)
         }
     }
     /* Rounding of unit vectors gives cosines up to 1 + 4e-16; exactly grazing light would divide by zero below. */
-    r.ci = r.ci < 1 ? r.ci > 1e-9 ? r.ci : 1e-9 : 1;
+    r.ci = r.ci < 1 ? r.ci > 1e-12 ? r.ci : 1e-12 : 1;
     return r;
 }
 

@@ -231,12 +231,12 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
     return true;
 }
 
-/* The next distance after t that Embree tells from it: tracing threads take denormal numbers for zero, so the next one after 0 is the
- * least normal number. */
-static inline float beyond(float t)
+/* Where to go on after a false hit at distance t, beyond `near`.  Tracing threads take denormal numbers for zero, so the next distance after
+ * 0 is the least normal number; and should Embree report no more than `near` for lack of smaller numbers, twice `near`. */
+static inline float beyond(float t, float near)
 {
     float next = nextafterf(t, INFINITY);
-    return next < FLT_MIN ? FLT_MIN : next;
+    return t < near ? 2 * near : next < FLT_MIN ? FLT_MIN : next;
 }
 
 /* Closest hit between `near` and `far`, as Embree sees it. */
@@ -261,7 +261,7 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
             return true;
         }
         /* Not met in truth.  It was the closest that Embree found, so all others lie beyond. */
-        near = beyond(rayhit.ray.tfar);
+        near = beyond(rayhit.ray.tfar, near);
     }
     return false;
 }
@@ -278,7 +278,7 @@ bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direct
             /* Hits are exact, so what is closer than the end by an origin's offset is in between. */
             return hit.t < distance - hit.error;
         }
-        near = beyond(rayhit.ray.tfar);
+        near = beyond(rayhit.ray.tfar, near);
     }
     return false;
 }

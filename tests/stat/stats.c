@@ -113,5 +113,5 @@ void stats_add(stats_mean *s, double x)
 
 double stats_error(const stats_mean *s)
 {
-    return s->n > 1 ? sqrt(s->m2 / (s->n - 1) / s->n) : INFINITY;
+    return s->n > 1 ? sqrt(s->m2 / (s->n - 1) / s->n) : (double)INFINITY;
 }
