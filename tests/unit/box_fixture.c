@@ -146,13 +146,20 @@ lmg_field *fixture_field(uint32_t slabs, bool aperture, uint32_t channels, uint6
 lmg_field *fixture_photon_field(uint32_t slabs, uint32_t nu, uint32_t nv, uint32_t ns, uint32_t nt, uint32_t channels, uint64_t seed)
 {
     lmg_layout l = layout(slabs, false, channels);
-    for (uint32_t i = 0; i < slabs; i++) {
-        l.slabs[i].nu = nu;
-        l.slabs[i].nv = nv;
-        l.slabs[i].ns = ns;
-        l.slabs[i].nt = nt;
+    l.bounds_min = (lmg_vec3){-0.1, -0.1, -0.1};
+    l.bounds_max = (lmg_vec3){0.1, 0.1, 0.1};
+    for (uint32_t i = 0; i < slabs; i++) { /* the faces of the bounds: what a bake without pilot would use */
+        lmg_slab *s = &l.slabs[i];
+        s->o = (lmg_vec3){0.1 * s->n.x, 0.1 * s->n.y, 0.1 * s->n.z};
+        s->distance = INFINITY;
+        s->u0 = s->v0 = -0.1, s->u1 = s->v1 = 0.1;
+        s->s0 = s->t0 = -1, s->s1 = s->t1 = 1;
+        s->nu = nu, s->nv = nv, s->ns = ns, s->nt = nt;
     }
     lmg_error error = {.message = ""};
+    if (slabs > 6 || lmg_layout_check(&l, &error) != LMG_OK) {
+        fail_msg("fixture: %u slabs; %s", slabs, error.message);
+    }
     lmg_field *field = NULL;
     assert_int_equal(lmg_field_allocate(&l, &field, &error), LMG_OK);
     for (uint32_t i = 0; i < slabs; i++) {

@@ -10,7 +10,8 @@
  * pseudo-random numbers from seed, with zeros, negative colour components and the extremes of float among them.  It comes prepared. */
 lmg_field *fixture_field(uint32_t slabs, bool aperture, uint32_t channels, uint64_t seed);
 
-/* One cube slab of the given resolution, photon-like content (sparse, few distinct values) for measurements of size and speed. */
+/* Up to six cube slabs of the given resolution on the faces of a cube, with photon-like content (sparse, counts times what one photon
+ * is worth in the cell), for measurements of size and speed. */
 lmg_field *fixture_photon_field(uint32_t slabs, uint32_t nu, uint32_t nv, uint32_t ns, uint32_t nt, uint32_t channels, uint64_t seed);
 
 /* NULL when the fields are equal to the last bit in everything a file holds, else what differs (static text). */
