@@ -164,7 +164,7 @@ void make_room(const char *folder)
     add_shell(file);
     add_table(file);
     add_shelf(file);
-    const double eye[3] = {-2.15, 1.62, 1.75}, target[3] = {0.30, 1.02, -0.55};
+    const double eye[3] = {-1.80, 1.60, 1.60}, target[3] = {0.30, 1.08, -0.50};
     gltf_add_camera(file, "default", eye, target, 0.96, 4.0 / 3.0);
     gltf_end(file, folder);
 }
