@@ -225,7 +225,7 @@ static lmg_result check_standard(scan *s, const attribute *a, uint32_t part, par
         i++;
     }
     if (i == sizeof standard / sizeof standard[0]) {
-        if (is(a, "view") || is(a, "version") || is(a, "maxSamplesPerPixel") || is(a, "preview")) {
+        if (is(a, "version") || is(a, "maxSamplesPerPixel")) { /* of deep files; OpenEXRCore would act on them */
             return fail(s, LMG_ERROR_FILE_FORMAT, "part %u has the attribute \"%s\", which box files don't hold", part, a->name);
         }
         return LMG_OK;
