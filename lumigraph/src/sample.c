@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * What is derived from a field's cells, emission of rays and directions seen from a point.  Relies on etendue.c for the measure of cells
- * and on geometry.h for who owns a ray.
+ * What is derived from a field's cells, and emission of rays.  Relies on etendue.c for the measure of cells, on geometry.h for who owns a
+ * ray, on seen.c for the tables behind sampling from a point.
  */
 #include "memory.h"
 #include "sampler.h"
@@ -10,7 +10,7 @@
 
 size_t lmg_sampler_memory(const lmg_sampler *sampler)
 {
-    return sampler ? sizeof *sampler + (size_t)sampler->row_count * sizeof *sampler->rows : 0;
+    return sampler ? sizeof *sampler + (size_t)sampler->row_count * sizeof *sampler->rows + lmg_groups_memory(sampler) : 0;
 }
 
 void lmg_sampler_destroy(lmg_sampler *sampler)
@@ -19,6 +19,7 @@ void lmg_sampler_destroy(lmg_sampler *sampler)
         return;
     for (uint32_t j = 0; j < LMG_MAX_SLABS; j++)
         lmg_etendue_release(&sampler->etendue[j]);
+    lmg_groups_destroy(sampler);
     lmg_table_free(sampler->rows, (size_t)sampler->row_count * sizeof *sampler->rows);
     free(sampler);
 }
@@ -71,6 +72,8 @@ lmg_result lmg_field_prepare(lmg_field *field, lmg_error *err)
     double sum = 0;
     for (uint32_t j = 0; r == LMG_OK && j < layout->slab_count; j++)
         sum_slab(field, s, j, &sum);
+    if (r == LMG_OK)
+        r = lmg_groups_create(field, s, err);
     if (r != LMG_OK) {
         lmg_sampler_destroy(s);
         return r;
@@ -173,59 +176,4 @@ bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
     for (int c = 0; c < 3; c++)
         out->flux[c] = (float)((double)rgb[c] / y);
     return true;
-}
-
-/* -------------------------------------------------------------------------------------------------- seen from a point */
-
-/* Density per steradian of a direction that crosses slab j's plane at distance r under cosine c: slab by flux, then uniform in (u,v). */
-static double density(const lmg_field *field, uint32_t j, double r, double c)
-{
-    const lmg_slab *slab = &field->layout.slabs[j];
-    double total = 0;
-    for (uint32_t k = 0; k < field->layout.slab_count; k++)
-        total += field->slabs[k].flux > 0 ? field->slabs[k].flux : 0;
-    double share = total > 0 && field->slabs[j].flux > 0 ? field->slabs[j].flux / total : 0;
-    return share * r * r / (c * (slab->u1 - slab->u0) * (slab->v1 - slab->v0));
-}
-
-double lmg_field_point_pdf(const lmg_field *field, lmg_vec3 point, lmg_vec3 direction)
-{
-    double uvst[4];
-    lmg_vec3 d = v_scale(-1, direction);
-    int j = lmg_plan_owner(&field->sampler->plan, point, d, uvst);
-    if (j < 0)
-        return 0;
-    const lmg_slab *slab = &field->layout.slabs[j];
-    double c = v_dot(d, slab->n), r = v_dot(v_sub(point, slab->o), slab->n) / c;
-    return r > 0 ? density(field, (uint32_t)j, r, c) : 0;
-}
-
-bool lmg_field_sample_point(const lmg_field *field, lmg_vec3 point, const double xi[3], lmg_point_sample *out)
-{
-    double total = 0, want, uvst[4];
-    for (uint32_t k = 0; k < field->layout.slab_count; k++)
-        total += field->slabs[k].flux > 0 ? field->slabs[k].flux : 0;
-    want = xi[0] * total;
-    uint32_t j = 0;
-    for (; j + 1 < field->layout.slab_count; j++) {
-        double flux = field->slabs[j].flux > 0 ? field->slabs[j].flux : 0;
-        if (want < flux)
-            break;
-        want -= flux;
-    }
-    const lmg_slab *slab = &field->layout.slabs[j];
-    lmg_vec3 x = v_fma(v_fma(slab->o, slab->u0 + xi[1] * (slab->u1 - slab->u0), slab->a), slab->v0 + xi[2] * (slab->v1 - slab->v0), slab->b);
-    lmg_vec3 w = v_sub(x, point);
-    double r = v_length(w), k;
-    if (!(r > 0))
-        return false;
-    out->direction = v_scale(1 / r, w);
-    if (lmg_plan_owner(&field->sampler->plan, point, v_scale(-1, out->direction), uvst) != (int)j)
-        return false;
-    lmg_field_radiance(field, point, v_scale(-1, out->direction), LMG_NEAREST, out->radiance, NULL);
-    if (!(out->radiance[0] != 0 || out->radiance[1] != 0 || out->radiance[2] != 0))
-        return false;
-    out->pdf = lmg_field_point_pdf(field, point, out->direction);
-    out->distance = lmg_field_enter(field, point, out->direction, &k) ? k : 0;
-    return out->pdf > 0;
 }

@@ -7,6 +7,29 @@
 #include "field.h"
 #include "geometry.h"
 
+/*
+ * How bright a group of slabs is seen from where: slabs that share a frame and so one (u,v) plane.  The plane is cut in blocks, 1 x 1 to
+ * 16 x 16 (levels), each with a coarse picture of its mean luminance over (s,t), 16 x 16 bins and their averages down to 1 x 1 (mips).
+ * A beam window has a table of its own, so that the bins follow the beam; tables include the light of all slabs of the group that lie
+ * in their (s,t) rectangle.
+ */
+enum { LMG_LEVELS = 5, LMG_BINS = 16, LMG_PICTURE = 256 + 64 + 16 + 4 + 1, LMG_BLOCKS = 1 + 4 + 16 + 64 + 256 };
+
+typedef struct lmg_brightness {
+    double s0, s1, t0, t1;
+    double bin_s, bin_t; /* width of the finest bins */
+    float *picture;      /* LMG_BLOCKS pictures of LMG_PICTURE values */
+} lmg_brightness;
+
+typedef struct lmg_group {
+    const lmg_slab *frame; /* any of its slabs */
+    double u0, u1, v0, v1; /* holds the rectangles of all */
+    double flux;           /* lumens */
+    uint32_t levels;       /* finest level worth going down to */
+    uint32_t table_count;
+    lmg_brightness *tables; /* in order of priority, the last one contains the others */
+} lmg_group;
+
 struct lmg_sampler {
     lmg_plan plan;
     lmg_etendue etendue[LMG_MAX_SLABS];
@@ -16,6 +39,9 @@ struct lmg_sampler {
     uint64_t row_count;
     uint64_t first_row[LMG_MAX_SLABS + 1];
     uint32_t row_length[LMG_MAX_SLABS];
+    uint32_t group_count;
+    lmg_group groups[LMG_MAX_SLABS];
+    int8_t group_of[LMG_MAX_SLABS]; /* -1: no light */
 };
 
 /* Luminance of a cell. */
@@ -32,5 +58,10 @@ static inline void lmg_cell_rgb(const lmg_field *field, uint32_t j, uint64_t cel
     for (int c = 0; c < 3; c++)
         rgb[c] = field->layout.channels == 1 ? r[cell] * field->layout.colour[c] : r[3 * cell + (uint64_t)c];
 }
+
+/* seen.c */
+lmg_result lmg_groups_create(const lmg_field *field, lmg_sampler *sampler, lmg_error *err);
+void lmg_groups_destroy(lmg_sampler *sampler);
+size_t lmg_groups_memory(const lmg_sampler *sampler);
 
 #endif
