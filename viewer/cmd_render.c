@@ -31,6 +31,9 @@ typedef struct settings {
     const char *room, *exr, *png, *camera, *exposure, *eye, *target;
     placed *things;
     size_t thing_count;
+    const char **sets; /* --set entries, in order, ... */
+    size_t *set_thing; /* ... and the lamp each belongs to */
+    size_t set_count;
     uint64_t samples; /* 0 = until the time is over */
     double seconds;   /* 0 = no limit */
     uint32_t width, height;
@@ -63,6 +66,7 @@ static void print_help(void)
         "  --lamp LAMP.gltf@X,Y,Z[,R] a lamp by its geometry, path traced: slow, the reference.  Lights in ROOM.gltf shine as "
         "well\n"
         "  --recipe FILE              lamp recipe for the last --lamp (default: LAMP.recipe.json beside it, if there is one)\n"
+        "  --set ENTRY                a recipe entry for the last --lamp, such as emitter:Bulb=800lm; later ones win\n"
         "  --flux LM                  lumens that the sources of the last --light or --lamp emit (default: as baked or modelled)\n"
         "  -o FILE.exr                R,G,B in cd/m2 and stderr.Y, the standard error of the luminance\n"
         "  --png FILE.png             tone-mapped, sRGB\n"
@@ -87,6 +91,7 @@ static int read_options(int argc, char **argv, settings *s)
         LIGHT = 256,
         LAMP,
         RECIPE,
+        SET,
         FLUX,
         PNG,
         SPP,
@@ -106,6 +111,7 @@ static int read_options(int argc, char **argv, settings *s)
     static const struct option OPTIONS[] = {{"light", required_argument, NULL, LIGHT},
                                             {"lamp", required_argument, NULL, LAMP},
                                             {"recipe", required_argument, NULL, RECIPE},
+                                            {"set", required_argument, NULL, SET},
                                             {"flux", required_argument, NULL, FLUX},
                                             {"output", required_argument, NULL, 'o'},
                                             {"png", required_argument, NULL, PNG},
@@ -127,7 +133,9 @@ static int read_options(int argc, char **argv, settings *s)
                                             {NULL, 0, NULL, 0}};
     *s = (settings){.width = 960, .height = 540, .seed = 1, .max_depth = UINT32_MAX, .exposure = "auto"};
     s->things = calloc((size_t)argc, sizeof *s->things);
-    if (!s->things) {
+    s->sets = calloc((size_t)argc, sizeof *s->sets);
+    s->set_thing = calloc((size_t)argc, sizeof *s->set_thing);
+    if (!s->things || !s->sets || !s->set_thing) {
         say_error("out of memory");
         return EXIT_FAILED;
     }
@@ -153,6 +161,13 @@ static int read_options(int argc, char **argv, settings *s)
                 return say_usage("render", "--recipe belongs behind the --lamp that it is for");
             }
             last->recipe = optarg;
+            break;
+        case SET:
+            if (!last || !last->lamp) {
+                return say_usage("render", "--set belongs behind the --lamp that it is for");
+            }
+            s->set_thing[s->set_count] = s->thing_count - 1;
+            s->sets[s->set_count++] = optarg;
             break;
         case FLUX:
             if (!last) {
@@ -267,15 +282,21 @@ static void print_warnings(const lum_model *model)
     }
 }
 
-static lmg_result add_lamp(view_scene *scene, const placed *thing, const settings *s, lmg_error *err)
+static lmg_result add_lamp(view_scene *scene, size_t index, const settings *s, lmg_error *err)
 {
+    const placed *thing = &s->things[index];
     char beside[PATH_SIZE + 16];
     const char *recipe_path = thing->recipe;
     if (!recipe_path && recipe_beside(thing->path, beside)) {
         recipe_path = beside;
     }
     lum_recipe *recipe = NULL;
-    lmg_result r = recipe_path ? lum_recipe_read(recipe_path, &recipe, err) : LMG_OK;
+    lmg_result r = recipe_path ? lum_recipe_read(recipe_path, &recipe, err) : lum_recipe_create(&recipe, err);
+    for (size_t i = 0; i < s->set_count && r == LMG_OK; i++) {
+        if (s->set_thing[i] == index) {
+            r = lum_recipe_add(recipe, s->sets[i], err);
+        }
+    }
     if (r == LMG_OK) {
         r = view_scene_add_lamp(scene, thing->path, recipe, &thing->placement, thing->flux, err);
     }
@@ -294,8 +315,7 @@ static lmg_result load(const settings *s, view_scene **out, lmg_error *err)
     }
     for (size_t i = 0; i < s->thing_count && r == LMG_OK; i++) {
         const placed *thing = &s->things[i];
-        r = thing->lamp ? add_lamp(*out, thing, s, err)
-                        : view_scene_add_box(*out, thing->path, &thing->placement, thing->flux, err);
+        r = thing->lamp ? add_lamp(*out, i, s, err) : view_scene_add_box(*out, thing->path, &thing->placement, thing->flux, err);
     }
     return r == LMG_OK ? view_scene_finish(*out, err) : r;
 }
@@ -597,5 +617,7 @@ int cmd_render(int argc, char **argv)
         code = EXIT_DONE; /* --help */
     }
     free(s.things);
+    free(s.sets);
+    free(s.set_thing);
     return code;
 }

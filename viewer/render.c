@@ -202,12 +202,47 @@ static double pixel_variance(const view_pixel *p)
     return p->samples < 2 ? (double)NAN : p->deviations / ((double)p->samples * (p->samples - 1.0));
 }
 
+static int compare_doubles(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* The typical relative noise of a pixel: over blocks of pixels that got light, the median of RMS standard error over mean.  A
+ * median, since the few pixels that show the lamp itself can be brighter than all others together. */
+static double typical_noise(const view_render *render)
+{
+    double *ratio = malloc((size_t)render->tiles_x * render->tiles_y * sizeof *ratio);
+    size_t count = 0;
+    for (uint32_t tile = 0; ratio && tile < render->tiles_x * render->tiles_y; tile++) {
+        uint32_t x0 = tile % render->tiles_x * TILE, y0 = tile / render->tiles_x * TILE, n = 0;
+        double mean = 0, variance = 0;
+        for (uint32_t y = y0; y < y0 + TILE && y < render->options.height; y++) {
+            for (uint32_t x = x0; x < x0 + TILE && x < render->options.width; x++) {
+                const view_pixel *p = &render->pixels[(size_t)y * render->options.width + x];
+                mean += p->mean;
+                variance += pixel_variance(p);
+                n++;
+            }
+        }
+        if (mean > 0 && !isnan(variance)) {
+            ratio[count++] = sqrt(variance / n) / (mean / n);
+        }
+    }
+    double median = (double)NAN;
+    if (count) {
+        qsort(ratio, count, sizeof *ratio, compare_doubles);
+        median = ratio[count / 2];
+    }
+    free(ratio);
+    return median;
+}
+
 view_render_state view_render_look(const view_render *render)
 {
     view_render_state state = {
         .samples_min = UINT32_MAX, .rays = render->rays, .refused = render->refused, .seconds = render->seconds};
     size_t count = (size_t)render->options.width * render->options.height;
-    double variance = 0, mean = 0;
     for (size_t i = 0; i < count; i++) {
         const view_pixel *p = &render->pixels[i];
         if (p->samples < state.samples_min) {
@@ -216,11 +251,9 @@ view_render_state view_render_look(const view_render *render)
         if (p->samples > state.samples_max) {
             state.samples_max = p->samples;
         }
-        variance += pixel_variance(p);
-        mean += p->mean;
+        state.mean += p->mean / (double)count;
     }
-    state.mean = mean / (double)count;
-    state.noise = mean > 0 ? sqrt(variance / (double)count) / state.mean : (variance == 0 ? 0.0 : (double)NAN);
+    state.noise = typical_noise(render);
     return state;
 }
 

@@ -48,8 +48,9 @@ typedef struct view_render_state {
     uint64_t rays;                     /* closest-hit and shadow rays traced */
     uint64_t refused;                  /* paths whose estimate wasn't finite, counted as zero; 0 in a sound scene */
     double seconds;                    /* wall clock spent in passes */
-    double noise; /* root of the mean squared standard error over the mean, luminance; NAN before the second sample */
-    double mean;  /* mean luminance, cd/m2 */
+    double
+        noise;   /* typical relative standard error of a pixel: median over blocks; NAN before the second sample or without light */
+    double mean; /* mean luminance, cd/m2 */
 } view_render_state;
 view_render_state view_render_look(const view_render *render);
 

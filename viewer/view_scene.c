@@ -169,9 +169,10 @@ lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_re
     }
     scene->objects = grown;
     object.lamp = true;
-    if (flux > 0) {
-        object.scale = flux / object.flux;
-        object.flux = flux;
+    double wanted = flux > 0 ? flux : object.model->rated_flux;
+    if (wanted > 0) {
+        object.scale = wanted / object.flux;
+        object.flux = wanted;
     }
     view_placement_motion(placement, &object.motion);
     /* The model's coordinates are relative to its centre, the placement is of its file's origin. */

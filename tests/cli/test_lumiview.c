@@ -1,0 +1,433 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * The program lumiview from outside: exit codes, messages, files left behind, and every bad or odd glTF file as a room.
+ * Runs the program LUMIVIEW (a path from the build) in folders of its own under /tmp.
+ */
+#include "image_io.h"
+#include "room_fixture.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <cmocka.h>
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <time.h>
+#include <unistd.h>
+
+/* A program that runs longer than this hangs (the slowest run here takes a few seconds with a sanitizer). */
+enum { TOO_LONG = 120 };
+
+static char folder[] = "/tmp/lumibox-view-XXXXXX";
+static char out_text[1 << 16], err_text[1 << 16];
+
+static void load(const char *name, char *text, size_t size)
+{
+    char path[64];
+    snprintf(path, sizeof path, "%s/%s", folder, name);
+    FILE *file = fopen(path, "r");
+    assert_non_null(file);
+    text[fread(text, 1, size - 1, file)] = '\0';
+    fclose(file);
+}
+
+/* Runs lumiview with these arguments (the last one NULL) in the folder; returns its exit code, or -signal. */
+static int run_vector(char *const *arguments, int interrupt_after_ms)
+{
+    pid_t child = fork();
+    assert_true(child >= 0);
+    if (child == 0) {
+        if (chdir(folder) != 0 || !freopen("stdout.txt", "w", stdout) || !freopen("stderr.txt", "w", stderr)) {
+            _exit(99);
+        }
+        alarm(TOO_LONG);
+        execv(LUMIVIEW, arguments);
+        _exit(98);
+    }
+    if (interrupt_after_ms > 0) {
+        struct timespec wait = {interrupt_after_ms / 1000, interrupt_after_ms % 1000 * 1000000L};
+        nanosleep(&wait, NULL);
+        kill(child, SIGINT);
+    }
+    int status;
+    assert_int_equal(waitpid(child, &status, 0), child);
+    load("stdout.txt", out_text, sizeof out_text);
+    load("stderr.txt", err_text, sizeof err_text);
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+}
+
+/* The same from a line of words separated by spaces. */
+static int run(const char *line)
+{
+    static char words[4096];
+    char *arguments[64] = {(char *)(uintptr_t) "lumiview"};
+    int count = 1;
+    assert_true(strlen(line) < sizeof words);
+    strcpy(words, line);
+    for (char *word = strtok(words, " "); word; word = strtok(NULL, " ")) {
+        assert_true(count < 63);
+        arguments[count++] = word;
+    }
+    return run_vector(arguments, 0);
+}
+
+static bool exists(const char *name)
+{
+    char path[320];
+    snprintf(path, sizeof path, "%s/%s", folder, name);
+    return access(path, F_OK) == 0;
+}
+
+static void forget(const char *name)
+{
+    char path[320];
+    snprintf(path, sizeof path, "%s/%s", folder, name);
+    unlink(path);
+}
+
+/* Number of files in the folder whose names begin so. */
+static int count_files(const char *prefix)
+{
+    DIR *d = opendir(folder);
+    assert_non_null(d);
+    int count = 0;
+    for (struct dirent *e; (e = readdir(d));) {
+        count += strncmp(e->d_name, prefix, strlen(prefix)) == 0;
+    }
+    closedir(d);
+    return count;
+}
+
+/* Exactly one line "error: ..." on stderr, besides warnings. */
+static void one_error(void)
+{
+    int errors = 0;
+    for (char *line = err_text; *line;) {
+        char *end = strchr(line, '\n');
+        assert_non_null(end);
+        bool error = strncmp(line, "error: ", 7) == 0;
+        errors += error;
+        if (!error && strncmp(line, "warning: ", 9) != 0) {
+            fail_msg("neither an error nor a warning: %.*s", (int)(end - line), line);
+        }
+        line = end + 1;
+    }
+    if (errors != 1) {
+        fail_msg("%d lines with errors: %s", errors, err_text);
+    }
+}
+
+static int make_folder(void **state)
+{
+    (void)state;
+    static const float WHITE[3] = {1, 1, 1};
+    if (!mkdtemp(folder)) {
+        return -1;
+    }
+    char path[64];
+    const double lower[3] = {-2, 0, -1.5}, upper[3] = {2, 2.5, 1.5};
+    room_rectangle walls[6];
+    room_walls(lower, upper, 0.6, walls);
+    snprintf(path, sizeof path, "%s/room.gltf", folder);
+    room_write(path, walls, 6);
+    room_rectangle lamp = {.corner = {-0.2, 0, -0.2}, .e1 = {0.4, 0, 0}, .e2 = {0, 0, 0.4}, .luminance = 2000};
+    snprintf(path, sizeof path, "%s/lamp.gltf", folder);
+    room_write(path, &lamp, 1);
+    lamp.luminance = 0;
+    lamp.albedo = 0.5;
+    snprintf(path, sizeof path, "%s/dark.gltf", folder);
+    room_write(path, &lamp, 1);
+    lmg_error err;
+    lmg_field *field = panel_field(-0.2, 0.2, -0.2, 0.2, 0.05, WHITE, 2000);
+    snprintf(path, sizeof path, "%s/lamp@1,2.box.exr", folder);
+    assert_int_equal(lmg_field_write(field, path, &err), LMG_OK);
+    lmg_field_destroy(field);
+    return 0;
+}
+
+static int remove_folder(void **state)
+{
+    (void)state;
+    DIR *d = opendir(folder);
+    for (struct dirent *e; d && (e = readdir(d));) {
+        forget(e->d_name);
+    }
+    if (d) {
+        closedir(d);
+    }
+    return rmdir(folder);
+}
+
+/* --------------------------------------------------------------------------------------------------------------- tests */
+
+static void renders_and_compares(void **state)
+{
+    (void)state;
+    assert_int_equal(run("render room.gltf --light lamp@1,2.box.exr@0,2.4,0.1,30 -o box.exr --png box.png --size 40x30 --spp 8"),
+                     0);
+    assert_string_equal(err_text, "");
+    assert_non_null(strstr(out_text, "box.exr: 40 x 30 pixels, 8 samples per pixel"));
+    assert_true(exists("box.exr") && exists("box.png"));
+    assert_int_equal(run("render --lamp lamp.gltf@0,2.4,0.1,30 --flux 1005.31lm room.gltf -o lamp.exr --exposure box.exr --seed 2 "
+                         "--size=40x30 --spp 8 --json --threads 1"),
+                     0);
+    assert_string_equal(err_text, "");
+    assert_true(out_text[0] == '{' && strstr(out_text, "\"samples_per_pixel\": 8"));
+    assert_int_equal(run("diff box.exr lamp.exr --block 10 --png diff.png"), 0);
+    assert_non_null(strstr(out_text, "relative RMSE"));
+    assert_true(exists("diff.png"));
+    assert_int_equal(run("diff box.exr lamp.exr --json"), 0);
+    assert_true(out_text[0] == '{');
+
+    /* The seed decides, the number of threads doesn't. */
+    char path[64];
+    view_image a, b;
+    lmg_error err;
+    view_image_notes notes;
+    assert_int_equal(
+        run("render room.gltf --light lamp@1,2.box.exr@0,2.4,0.1,30 -o one.exr --size 40x30 --spp 8 --threads 1 --quiet"), 0);
+    assert_string_equal(out_text, "");
+    snprintf(path, sizeof path, "%s/box.exr", folder);
+    assert_int_equal(view_read_exr(path, &a, &notes, &err), LMG_OK);
+    assert_true(notes.samples == 8 && notes.seed == 1 && notes.mid_grey > 0);
+    snprintf(path, sizeof path, "%s/one.exr", folder);
+    assert_int_equal(view_read_exr(path, &b, NULL, &err), LMG_OK);
+    assert_memory_equal(a.rgb, b.rgb, 40 * 30 * 3 * sizeof(float));
+    assert_memory_equal(a.standard_error, b.standard_error, 40 * 30 * sizeof(float));
+    view_image_free(&a);
+    view_image_free(&b);
+    assert_int_equal(run("--version"), 0);
+    assert_int_equal(run("--help"), 0);
+    assert_int_equal(run("render --help"), 0);
+    assert_int_equal(run("diff --help"), 0);
+}
+
+static void wrong_usage_is_2(void **state)
+{
+    (void)state;
+    static const char *const LINES[] = {
+        "",
+        "rendr room.gltf",
+        "render",
+        "render room.gltf",
+        "render room.gltf dark.gltf --png none.png",
+        "render room.gltf --png none.png --light lamp@1,2.box.exr",
+        "render room.gltf --png none.png --light lamp.box.exr@1,2",
+        "render room.gltf --png none.png --lamp lamp.gltf@1,2,3,4,5",
+        "render room.gltf --png none.png --spp 0",
+        "render room.gltf --png none.png --spp 1.5",
+        "render room.gltf --png none.png --spp",
+        "render room.gltf --png none.png --time 3parsec",
+        "render room.gltf --png none.png --time -1",
+        "render room.gltf --png none.png --size 100",
+        "render room.gltf --png none.png --size 0x10",
+        "render room.gltf --png none.png --size 100000x10",
+        "render room.gltf --png none.png --frobnicate",
+        "render room.gltf --png none.png --recipe x.json",
+        "render room.gltf --png none.png --flux 3",
+        "render room.gltf --png none.png --set thin:Glass",
+        "render room.gltf --png none.png --eye 1,2,3",
+        "render room.gltf --png none.png --eye 1,2 --target 1,2,4",
+        "render room.gltf --png none.png --eye 1,2,3 --target 1,2,3",
+        "render room.gltf --png none.png --fov 50",
+        "render room.gltf --png none.png --eye 1,2,3 --target 1,2,4 --fov 180",
+        "render room.gltf --png none.png --camera nobody",
+        "render room.gltf --png none.png --exposure bright",
+        "render room.gltf --png none.png --threads many",
+        "render room.gltf --png none.png --seed -1",
+        "diff",
+        "diff a.exr",
+        "diff a.exr b.exr c.exr",
+        "diff a.exr b.exr --block 0",
+        "diff a.exr b.exr --scale x",
+    };
+    for (size_t i = 0; i < sizeof LINES / sizeof LINES[0]; i++) {
+        int code = run(LINES[i]);
+        if (code != 2) {
+            fail_msg("\"%s\" ended with %d: %s", LINES[i], code, err_text);
+        }
+        one_error();
+        assert_string_equal(out_text, "");
+        assert_int_equal(count_files("none"), 0);
+    }
+}
+
+static void bad_input_is_3(void **state)
+{
+    (void)state;
+    char path[64];
+    snprintf(path, sizeof path, "%s/text.gltf", folder);
+    FILE *file = fopen(path, "w");
+    assert_non_null(file);
+    fputs("this is no room\n", file);
+    fclose(file);
+    /* Half a box. */
+    snprintf(path, sizeof path, "%s/lamp@1,2.box.exr", folder);
+    static char bytes[1 << 20];
+    file = fopen(path, "rb");
+    assert_non_null(file);
+    size_t size = fread(bytes, 1, sizeof bytes, file);
+    fclose(file);
+    snprintf(path, sizeof path, "%s/half.box.exr", folder);
+    file = fopen(path, "wb");
+    assert_non_null(file);
+    fwrite(bytes, 1, size / 2, file);
+    fclose(file);
+    bytes[size / 2] ^= 0x10;
+    snprintf(path, sizeof path, "%s/flip.box.exr", folder);
+    file = fopen(path, "wb");
+    assert_non_null(file);
+    fwrite(bytes, 1, size, file);
+    fclose(file);
+    static const char *const LINES[] = {
+        "render missing.gltf --png none.png -o none.exr",
+        "render text.gltf --png none.png -o none.exr",
+        "render lamp@1,2.box.exr --png none.png -o none.exr",
+        "render room.gltf --light missing.box.exr@0,1,0 --png none.png -o none.exr",
+        "render room.gltf --light room.gltf@0,1,0 --png none.png -o none.exr",
+        "render room.gltf --light half.box.exr@0,1,0 --png none.png -o none.exr",
+        "render room.gltf --light flip.box.exr@0,1,0 --png none.png -o none.exr",
+        "render room.gltf --lamp dark.gltf@0,1,0 --png none.png -o none.exr",
+        "render room.gltf --lamp missing.gltf@0,1,0 --png none.png -o none.exr",
+        "render room.gltf --lamp lamp.gltf@0,1,0 --recipe missing.json --png none.png -o none.exr",
+        "render room.gltf --lamp lamp.gltf@0,1,0 --recipe room.gltf --png none.png -o none.exr",
+        "render room.gltf --exposure missing.exr --png none.png -o none.exr",
+        "diff missing.exr missing.exr --png none.png",
+        "diff room.gltf room.gltf --png none.png",
+    };
+    for (size_t i = 0; i < sizeof LINES / sizeof LINES[0]; i++) {
+        int code = run(LINES[i]);
+        if (code != 3) {
+            fail_msg("\"%s\" ended with %d: %s", LINES[i], code, err_text);
+        }
+        one_error();
+        assert_string_equal(out_text, "");
+        assert_int_equal(count_files("none"), 0);
+    }
+    /* Nowhere to write: known at once, before a long rendering. */
+    assert_int_equal(run("render room.gltf --light lamp@1,2.box.exr@0,1,0 --png no/such/folder/x.png --spp 1000000"), 1);
+    one_error();
+}
+
+static void interrupt_writes_what_there_is(void **state)
+{
+    (void)state;
+    char *arguments[] = {(char *)(uintptr_t) "lumiview",
+                         (char *)(uintptr_t) "render",
+                         (char *)(uintptr_t) "room.gltf",
+                         (char *)(uintptr_t) "--light",
+                         (char *)(uintptr_t) "lamp@1,2.box.exr@0,2.4,0",
+                         (char *)(uintptr_t) "-o",
+                         (char *)(uintptr_t) "stopped.exr",
+                         (char *)(uintptr_t) "--size",
+                         (char *)(uintptr_t) "64x48",
+                         (char *)(uintptr_t) "--time",
+                         (char *)(uintptr_t) "1h",
+                         NULL};
+    forget("stopped.exr");
+    assert_int_equal(run_vector(arguments, 1500), 130);
+    char path[64];
+    view_image image;
+    lmg_error err;
+    snprintf(path, sizeof path, "%s/stopped.exr", folder);
+    assert_int_equal(view_read_exr(path, &image, NULL, &err), LMG_OK);
+    assert_int_equal(image.width, 64);
+    view_image_free(&image);
+    assert_int_equal(count_files("stopped.exr"), 1); /* and no temporary beside it */
+}
+
+static void time_is_kept(void **state)
+{
+    (void)state;
+    struct timespec a, b;
+    clock_gettime(CLOCK_MONOTONIC, &a);
+    assert_int_equal(run("render room.gltf --light lamp@1,2.box.exr@0,2.4,0 --png time.png --size 32x24 --time 2s"), 0);
+    clock_gettime(CLOCK_MONOTONIC, &b);
+    double seconds = (double)(b.tv_sec - a.tv_sec) + 1e-9 * (double)(b.tv_nsec - a.tv_nsec);
+    /* Two seconds of passes, and a busy machine's starting and writing. */
+    assert_true(seconds > 1 && seconds < 30);
+}
+
+static int files_tried, pictures_made;
+
+/* Every .gltf and .glb under path as a room. */
+static void try_files(const char *path)
+{
+    DIR *d = opendir(path);
+    assert_non_null(d);
+    for (struct dirent *e; (e = readdir(d));) {
+        char child[2048];
+        struct stat info;
+        if (e->d_name[0] == '.' || snprintf(child, sizeof child, "%s/%s", path, e->d_name) >= (int)sizeof child ||
+            stat(child, &info) != 0) {
+            continue;
+        }
+        if (S_ISDIR(info.st_mode)) {
+            try_files(child);
+            continue;
+        }
+        const char *dot = strrchr(child, '.');
+        if (!dot || (strcmp(dot, ".gltf") != 0 && strcmp(dot, ".glb") != 0)) {
+            continue;
+        }
+        char *arguments[] = {(char *)(uintptr_t) "lumiview",
+                             (char *)(uintptr_t) "render",
+                             child,
+                             (char *)(uintptr_t) "--light",
+                             (char *)(uintptr_t) "lamp@1,2.box.exr@0.3,1.7,0.4",
+                             (char *)(uintptr_t) "--png",
+                             (char *)(uintptr_t) "odd.png",
+                             (char *)(uintptr_t) "--size",
+                             (char *)(uintptr_t) "8x6",
+                             (char *)(uintptr_t) "--spp",
+                             (char *)(uintptr_t) "1",
+                             NULL};
+        forget("odd.png");
+        int code = run_vector(arguments, 0);
+        files_tried++;
+        if (code == 0) {
+            pictures_made++;
+            assert_true(exists("odd.png"));
+        } else if (code == 3) {
+            one_error();
+            assert_int_equal(count_files("odd.png"), 0);
+        } else {
+            fail_msg("%s: exit code %d: %s", child, code, err_text);
+        }
+    }
+    closedir(d);
+}
+
+static void odd_rooms(void **state)
+{
+    (void)state;
+    static const char *const FOLDERS[] = {LUMIBOX_SHARED_DATA "/gltf-invalid", LUMIBOX_SHARED_DATA "/gltf-odd"};
+    for (size_t i = 0; i < 2; i++) {
+        if (access(FOLDERS[i], R_OK) != 0) {
+            print_message("SKIPPED odd_rooms: %s isn't there\n", FOLDERS[i]);
+            skip();
+        }
+        files_tried = pictures_made = 0;
+        try_files(FOLDERS[i]);
+        print_message("%s: %d files, %d pictures, %d refused with one line\n", FOLDERS[i], files_tried, pictures_made,
+                      files_tried - pictures_made);
+        assert_true(files_tried > 0);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(renders_and_compares),           cmocka_unit_test(wrong_usage_is_2), cmocka_unit_test(bad_input_is_3),
+        cmocka_unit_test(interrupt_writes_what_there_is), cmocka_unit_test(time_is_kept),     cmocka_unit_test(odd_rooms),
+    };
+    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+}
