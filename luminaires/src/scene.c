@@ -52,13 +52,106 @@ static bool fill_triangle(const lum_model *model, uint32_t index, lum_triangle *
     out->material = (uint32_t)model->triangle_material[index] | (smooth ? LUM_TRIANGLE_SMOOTH : 0);
     double error = lum_triangle_error((const float(*)[3])out->v);
     double longest = fmax(vec_length(vec_sub(b, a)), fmax(vec_length(vec_sub(c, b)), vec_length(vec_sub(a, c))));
-    /* Hits keep 4 errors from each edge, so that the origin offset from one wall can't pass through another that meets it at an angle
+    /* Hits keep 4 errors from each edge that isn't flat, so that the origin offset from one wall can't pass through another that meets it at an angle
      * of more than 14 degrees.  Small triangles keep what they can. */
     double margin = twice_area > 0 ? 4 * error * longest / twice_area : 0.25;
     out->error = nextafterf((float)error, INFINITY);
     out->margin = (float)(margin < 0.25 ? margin : 0.25);
-    out->spare = 0;
+    out->flat_edges = 0; /* filled by mark_flat_edges */
     return twice_area > 0;
+}
+
+/* Triangles that meet at an edge, as far as mark_flat_edges cares: more than two make no flat edge. */
+typedef struct edge_slot {
+    uint32_t count;
+    uint32_t edge[2]; /* 3 * triangle + corner opposite the edge */
+} edge_slot;
+
+/* End points of the edge opposite a corner, in an order that both its triangles agree on; -0 is 0. */
+static void edge_ends(const lum_triangle *tri, uint32_t corner, float ends[6])
+{
+    for (int k = 0; k < 3; k++) {
+        ends[k] = tri->v[(corner + 1) % 3][k] + 0.0f;
+        ends[3 + k] = tri->v[(corner + 2) % 3][k] + 0.0f;
+    }
+    if (memcmp(ends, ends + 3, 3 * sizeof(float)) > 0) {
+        for (int k = 0; k < 3; k++) {
+            float swap = ends[k];
+            ends[k] = ends[3 + k];
+            ends[3 + k] = swap;
+        }
+    }
+}
+
+static void mark_pair(lum_scene *scene, const edge_slot *slot, bool flat)
+{
+    for (int i = 0; i < 2; i++) {
+        uint32_t *flags = &scene->triangles[slot->edge[i] / 3].flat_edges, bit = 1u << slot->edge[i] % 3;
+        *flags = flat ? *flags | bit : *flags & ~bit;
+    }
+}
+
+/* Whether the second triangle of an edge is folded back onto the side where the first one lies, like the two sides of a sheet. */
+static bool lies_folded(const lum_scene *scene, const edge_slot *slot)
+{
+    const lum_triangle *a = &scene->triangles[slot->edge[0] / 3], *b = &scene->triangles[slot->edge[1] / 3];
+    uint32_t i = slot->edge[0] % 3, j = slot->edge[1] % 3;
+    lmg_vec3 from = vec_from_float(a->v[(i + 1) % 3]), along = vec_sub(vec_from_float(a->v[(i + 2) % 3]), from);
+    lmg_vec3 across = vec_cross(along, vec_from_float(a->ng));
+    double first = vec_dot(across, vec_sub(vec_from_float(a->v[i]), from));
+    double second = vec_dot(across, vec_sub(vec_from_float(b->v[j]), from));
+    return first * second >= 0;
+}
+
+/*
+ * Finds the edges where exactly two triangles go on almost in one plane (within 8 degrees).  There an origin that stands off one
+ * triangle stands off the other as well (by at least 0.99 of it), so hits need no distance from the edge; and in the acute corner of a long
+ * thin triangle there would be no room for it: a hit would be moved far along the triangle.  Edges are matched by position.
+ */
+static bool mark_flat_edges(lum_scene *scene, uint32_t count)
+{
+    size_t slots = 64;
+    while (slots < (size_t)count * 6) {
+        slots *= 2;
+    }
+    edge_slot *table = calloc(slots, sizeof *table);
+    if (!table) {
+        return false;
+    }
+    for (uint32_t e = 0; e < 3 * count; e++) {
+        float ends[6], other[6];
+        edge_ends(&scene->triangles[e / 3], e % 3, ends);
+        uint64_t hash = 0xcbf29ce484222325u;
+        for (int k = 0; k < 6; k++) {
+            uint32_t word;
+            memcpy(&word, &ends[k], sizeof word);
+            hash = (hash ^ word) * 0x9e3779b97f4a7c15u;
+            hash ^= hash >> 29;
+        }
+        size_t at = hash & (slots - 1);
+        while (table[at].count > 0) {
+            edge_ends(&scene->triangles[table[at].edge[0] / 3], table[at].edge[0] % 3, other);
+            if (memcmp(ends, other, sizeof ends) == 0) {
+                break;
+            }
+            at = (at + 1) & (slots - 1);
+        }
+        edge_slot *slot = &table[at];
+        if (slot->count < 2) {
+            slot->edge[slot->count] = e;
+        }
+        slot->count += slot->count < 3;
+        if (slot->count == 2) {
+            const float *m = scene->triangles[slot->edge[0] / 3].ng, *n = scene->triangles[e / 3].ng;
+            if (fabsf(m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) > 0.99f) {
+                mark_pair(scene, slot, !lies_folded(scene, slot));
+            }
+        } else if (slot->count == 3) {
+            mark_pair(scene, slot, false);
+        }
+    }
+    free(table);
+    return true;
 }
 
 static lmg_result embree_failure(RTCDevice device, lmg_error *err)
@@ -97,6 +190,10 @@ lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *
     for (uint32_t i = 0; i < count; i++) {
         fill_triangle(model, i, &scene->triangles[i], scene->normals[i]);
         smooth += scene->triangles[i].material >> 31;
+    }
+    if (!mark_flat_edges(scene, count)) {
+        result = lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for %u triangles", count);
+        goto cleanup;
     }
     if (!smooth) {
         free(scene->normals);
@@ -209,13 +306,19 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
             }
             t = along;
         }
-        /* Towards the centroid, away from the edges, by at most `margin` in each barycentric. */
-        b1 = fmax(b1, margin);
-        b2 = fmax(b2, margin);
-        double excess = b1 + b2 - (1 - margin);
+        /* Away from the edges by the same distance everywhere: barycentrics change by distance / height over the edge, and heights go as
+         * one over the edges' lengths.  (One margin for all would move a hit on a long thin triangle far along it.) */
+        double l0 = vec_length(vec_sub(e2, e1)), l1 = vec_length(e2), l2 = vec_length(e1);
+        double per_length = margin / fmax(l0, fmax(l1, l2));
+        double m0 = tri->flat_edges & 1 ? 0 : per_length * l0;
+        double m1 = tri->flat_edges & 2 ? 0 : per_length * l1;
+        double m2 = tri->flat_edges & 4 ? 0 : per_length * l2;
+        b1 = fmax(b1, m1);
+        b2 = fmax(b2, m2);
+        double excess = b1 + b2 - (1 - m0);
         if (excess > 0) {
-            double shift1 = fmin(b1 - margin, 0.5 * excess), shift2 = fmin(b2 - margin, excess - shift1);
-            shift1 = fmin(b1 - margin, excess - shift2);
+            double shift1 = fmin(b1 - m1, 0.5 * excess), shift2 = fmin(b2 - m2, excess - shift1);
+            shift1 = fmin(b1 - m1, excess - shift2);
             b1 -= shift1;
             b2 -= shift2;
         }
@@ -257,6 +360,9 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
     float near = 0;
     while (trace(scene, origin, direction, near, INFINITY, &rayhit)) {
         hit->triangle = rayhit.hit.primID;
+        if (scene->normals) { /* lum_surface_at comes next: let memory work meanwhile */
+            __builtin_prefetch(scene->normals[rayhit.hit.primID]);
+        }
         if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, rayhit.hit.u, rayhit.hit.v, hit)) {
             return true;
         }

@@ -19,8 +19,8 @@ typedef struct lum_triangle {
     float ng[3];        /* geometric normal, rounded to float */
     uint32_t material;  /* index | LUM_TRIANGLE_SMOOTH */
     float error;        /* lum_hit.error: see lum_triangle_error */
-    float margin;       /* barycentric distance that hits keep from the edges: see lum_triangle_error */
-    uint32_t spare;
+    float margin;       /* largest barycentric distance that hits keep from the edges: see lum_triangle_error */
+    uint32_t flat_edges; /* bit i: the edge opposite vertex i is flat (mark_flat_edges); hits may lie on it */
 } lum_triangle;
 
 /* What lum_surface_at knows of a material before it sees the hit. */
