@@ -80,24 +80,19 @@ static int hex(char c)
     return c >= '0' && c <= '9' ? c - '0' : c >= 'a' && c <= 'f' ? c - 'a' + 10 : c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1;
 }
 
-/* The path of a relative URI reference, %XX undone, below dir.  Returns NULL with err set when it isn't one. */
-static char *uri_path(const char *dir, const char *uri, lmg_error *err)
+/* The path of a relative URI reference, %XX undone, below dir; allocated.  Messages don't name the URI: the caller does. */
+static lmg_result uri_path(const char *dir, const char *uri, char **out_path, lmg_error *err)
 {
+    *out_path = NULL;
     size_t scheme = strcspn(uri, ":/?#");
-    if (uri[scheme] == ':' && scheme > 1) { /* one letter: a Windows drive, absolute, refused below */
-        lmg_fail(err, LMG_ERROR_UNSUPPORTED, "\"%.60s\" is not beside the model; download it there and use its file name", uri);
-        return NULL;
-    }
-    if (uri[0] == '/' || uri[0] == '\\' || uri[scheme] == ':') {
-        lmg_fail(err, LMG_ERROR_INPUT, "\"%.60s\" is an absolute path; put the file beside the model and use its name", uri);
-        return NULL;
-    }
+    if (uri[scheme] == ':' && scheme > 1) /* one letter: a Windows drive, absolute, refused below */
+        return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "is not beside the model; download it there and use its file name");
+    if (uri[0] == '/' || uri[0] == '\\' || uri[scheme] == ':')
+        return lmg_fail(err, LMG_ERROR_INPUT, "is an absolute path; put the file beside the model and use its name");
     size_t n = strlen(dir), m = strlen(uri);
     char *path = malloc(n + m + 1);
-    if (!path) {
-        lmg_fail(err, LMG_ERROR_MEMORY, "out of memory");
-        return NULL;
-    }
+    if (!path)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory");
     memcpy(path, dir, n);
     size_t out = n;
     for (size_t i = 0; i < m; i++) {
@@ -107,14 +102,14 @@ static char *uri_path(const char *dir, const char *uri, lmg_error *err)
             i += 2;
         }
         if (c == 0) {
-            lmg_fail(err, LMG_ERROR_INPUT, "\"%.60s\" has a zero byte in it", uri);
             free(path);
-            return NULL;
+            return lmg_fail(err, LMG_ERROR_INPUT, "has a zero byte in its name");
         }
         path[out++] = c;
     }
     path[out] = 0;
-    return path;
+    *out_path = path;
+    return LMG_OK;
 }
 
 static bool is_data_uri(const char *uri)
@@ -266,10 +261,10 @@ static lmg_result load_buffer(loading *l, size_t i, lmg_error *err)
     } else if (is_data_uri(uri)) {
         result = decode_data_uri(uri, &data, &size, err);
     } else {
-        char *path = uri_path(l->dir, uri, err);
-        if (!path)
-            return LMG_ERROR_INPUT;
-        result = lum_read_file(path, MAX_FILE_BYTES, &data, &size, err);
+        char *path;
+        result = uri_path(l->dir, uri, &path, err);
+        if (!result)
+            result = lum_read_file(path, MAX_FILE_BYTES, &data, &size, err);
         free(path);
         if (!result)
             l->file->hash = lum_fnv1a(l->file->hash, data, size);
@@ -339,8 +334,7 @@ static lmg_result list_images(loading *l, lmg_error *err)
         } else if (is_data_uri(uri)) {
             result = decode_data_uri(uri, &image->data, &image->size, err);
         } else {
-            image->path = uri_path(l->dir, uri, err);
-            result = image->path ? LMG_OK : LMG_ERROR_INPUT;
+            result = uri_path(l->dir, uri, &image->path, err);
         }
         if (result) {
             lum_prefix_error(err, image->label);

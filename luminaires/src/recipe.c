@@ -345,6 +345,7 @@ static void read_entry_keys(reader *r, lum_recipe_entry *e)
         e->ior = ior;
     if (e->emitter && e->no_emission)
         fail(r, "no_emission", "contradicts \"emitter\"");
+    check_rest(r); /* before complaining that it says nothing: a misspelt key is why */
     if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && e->ior == 0 && e->finish == LUM_FINISH_NONE)
         fail(r, "", "says nothing about \"%.60s\"", e->match);
 }
@@ -359,7 +360,6 @@ static lmg_result add_entry(lum_recipe *recipe, json_t *object, const char *wher
     if (!json_is_object(object))
         return lmg_fail(err, LMG_ERROR_INPUT, "%s: must be an object", where);
     read_entry_keys(&r, &e);
-    check_rest(&r);
     if (r.result)
         return r.result;
     lum_recipe_entry *grown = realloc(recipe->entries, (recipe->entry_count + 1u) * sizeof *grown);
