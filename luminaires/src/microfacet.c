@@ -170,14 +170,9 @@ double lum_lobe_sample(const lum_lobe_set *set, double alpha, double x)
         }
     }
     double target = (x < 1 ? x : 1) * lobe->sum[LUM_LOBE_SEGMENTS];
-    int low = 0, high = LUM_LOBE_SEGMENTS; /* sum[low] <= target < sum[high] */
-    while (high - low > 1) {
-        int middle = (low + high) / 2;
-        if (lobe->sum[middle] <= target) {
-            low = middle;
-        } else {
-            high = middle;
-        }
+    int low = 0; /* the last node with sum <= target; without branches, which would be mispredicted half of the time */
+    for (int step = LUM_LOBE_SEGMENTS / 2; step; step /= 2) {
+        low += lobe->sum[low + step] <= target ? step : 0;
     }
     /* Solve a s + (b - a) s^2 / 2 = t, in the form that is stable for b near a. */
     double q0 = node(low), width = node(low + 1) - q0, a = lobe->rest[low], b = lobe->rest[low + 1];

@@ -15,7 +15,7 @@
 
 #include <luminaires/scatter.h>
 
-enum { LUM_LOBE_SEGMENTS = 64, LUM_LOBE_ROUGHNESSES = 16 };
+enum { LUM_LOBE_SEGMENTS = 64 /* a power of two */, LUM_LOBE_ROUGHNESSES = 24 };
 
 /* 1 - E over q at one roughness. */
 typedef struct lum_lobe {

@@ -190,37 +190,36 @@ static interface conductor(double c, double eta, double k)
 typedef struct shares {
     double s, p;
     complex2 es, ep;
-    lmg_vec3 axis; /* s_axis */
+    lmg_vec3 axis; /* s_axis; of known polarization only */
 } shares;
 
 INLINE shares shares_of(const lum_polarization *pol, lmg_vec3 d, lmg_vec3 m)
 {
     shares r = {0.5, 0.5, {0, 0}, {0, 0}, {0, 0, 0}};
-    if (pol) {
+    if (pol && pol->known) {
         r.axis = s_axis(d, m);
-        if (pol->known) {
-            lmg_vec3 p = vec_cross(r.axis, d);
-            r.es = (complex2){vec_dot(pol->re, r.axis), vec_dot(pol->im, r.axis)};
-            r.ep = (complex2){vec_dot(pol->re, p), vec_dot(pol->im, p)};
-            double s = r.es.re * r.es.re + r.es.im * r.es.im, q = r.ep.re * r.ep.re + r.ep.im * r.ep.im;
-            /* Their sum is 1 but for rounding along the path; renormalized at every event. */
-            double n = s + q > 0 ? 1 / (s + q) : 0;
-            r.s = n > 0 ? s * n : 0.5;
-            r.p = n > 0 ? q * n : 0.5;
-        }
+        lmg_vec3 p = vec_cross(r.axis, d);
+        r.es = (complex2){vec_dot(pol->re, r.axis), vec_dot(pol->im, r.axis)};
+        r.ep = (complex2){vec_dot(pol->re, p), vec_dot(pol->im, p)};
+        double s = r.es.re * r.es.re + r.es.im * r.es.im, q = r.ep.re * r.ep.re + r.ep.im * r.ep.im;
+        /* Their sum is 1 but for rounding along the path; renormalized at every event. */
+        double n = s + q > 0 ? 1 / (s + q) : 0;
+        r.s = n > 0 ? s * n : 0.5;
+        r.p = n > 0 ? q * n : 0.5;
     }
     return r;
 }
 
-/* The field after an event with amplitudes as, ap, leaving along wo.  Unpolarized light becomes one of the two linear states, in
+/* The field after an event with amplitudes as, ap (a, b: their squares) on a surface with normal m, from d to wo.  Unpolarized light becomes one of the two linear states, in
  * proportion to their shares after the event, chosen by *u. */
-INLINE void set_field(lum_polarization *pol, const shares *in, complex2 as, complex2 ap, lmg_vec3 wo, double *u)
+INLINE void set_field(lum_polarization *pol, const shares *in, complex2 as, complex2 ap, double a, double b, lmg_vec3 d, lmg_vec3 m,
+                      lmg_vec3 wo, double *u)
 {
     if (!pol) {
         return;
     }
-    lmg_vec3 s = in->axis, p = vec_cross(in->axis, wo);
     if (pol->known) {
+        lmg_vec3 s = in->axis, p = vec_cross(s, wo);
         complex2 es = times(as, in->es), ep = times(ap, in->ep);
         lmg_vec3 re = vec_along(vec_scale(s, es.re), p, ep.re), im = vec_along(vec_scale(s, es.im), p, ep.im);
         double n2 = vec_dot(re, re) + vec_dot(im, im);
@@ -232,10 +231,11 @@ INLINE void set_field(lum_polarization *pol, const shares *in, complex2 as, comp
             pol->known = false;
         }
     } else {
-        double a = as.re * as.re + as.im * as.im, b = ap.re * ap.re + ap.im * ap.im;
         if (a + b > 0) {
-            bool perpendicular = choose(u, a / (a + b));
-            pol->re = perpendicular ? s : p;
+            pol->re = s_axis(d, m);
+            if (!choose(u, a / (a + b))) {
+                pol->re = vec_cross(pol->re, wo);
+            }
             pol->im = vec(0, 0, 0);
             pol->known = true;
         }
@@ -299,30 +299,37 @@ INLINE float repeated(float r, double lost)
     return d > 0 ? (float)((double)r * (double)r * (1 - lost) / d) : r;
 }
 
-/* A microfacet as seen from wi: its normal in the model frame, the cosine of wi with it, and the share of the light reflected there that
- * gets away in one bounce (G2/G1, height-correlated Smith). */
+/* A microfacet as seen from wi. */
 typedef struct facet {
-    lmg_vec3 x, y;      /* tangents */
-    lmg_vec3 local;     /* wi in the frame */
-    lmg_vec3 h, m;      /* normal in the frame, in the model frame */
-    double c, lambda_i, keep;
+    double c;     /* cosine of wi with its normal */
+    double hz;    /* cosine of its normal with the surface's */
+    lmg_vec3 m;   /* its normal */
 } facet;
 
 INLINE facet sample_facet(const side *at, lmg_vec3 wi, double alpha, const double xi[4])
 {
+    lmg_vec3 x, y;
+    vec_frame(at->n, &x, &y);
+    lmg_vec3 local = vec(vec_dot(wi, x), vec_dot(wi, y), at->ci);
+    lmg_vec3 h = ggx_sample_visible(alpha, local, xi[0], xi[1]);
     facet f;
-    vec_frame(at->n, &f.x, &f.y);
-    f.local = vec(vec_dot(wi, f.x), vec_dot(wi, f.y), at->ci);
-    f.h = ggx_sample_visible(alpha, f.local, xi[0], xi[1]);
-    f.c = vec_dot(f.local, f.h);
-    f.lambda_i = ggx_lambda(alpha, at->ci, (1 - at->ci) * (1 + at->ci));
-    double z = 2 * f.c * f.h.z - f.local.z;
-    z = z < 1 ? z : 1;
-    f.keep = z > 0 ? (1 + f.lambda_i) / (1 + f.lambda_i + ggx_lambda(alpha, z, (1 - z) * (1 + z))) : 0;
+    f.c = vec_dot(local, h);
     f.c = f.c < 1 ? f.c : 1;
-    f.m = vec(f.h.x * f.x.x + f.h.y * f.y.x + f.h.z * at->n.x, f.h.x * f.x.y + f.h.y * f.y.y + f.h.z * at->n.y,
-              f.h.x * f.x.z + f.h.y * f.y.z + f.h.z * at->n.z);
+    f.hz = h.z;
+    f.m = vec(h.x * x.x + h.y * y.x + h.z * at->n.x, h.x * x.y + h.y * y.y + h.z * at->n.y, h.x * x.z + h.y * y.z + h.z * at->n.z);
     return f;
+}
+
+/* Share of the light reflected at the facet that gets away in one bounce: G2/G1, height-correlated Smith. */
+INLINE double keeps_reflected(const side *at, const facet *f, double alpha)
+{
+    double z = 2 * f->c * f->hz - at->ci;
+    if (!(z > 0)) {
+        return 0;
+    }
+    z = z < 1 ? z : 1;
+    double a = 1 + ggx_lambda(alpha, at->ci, (1 - at->ci) * (1 + at->ci));
+    return a / (a + ggx_lambda(alpha, z, (1 - z) * (1 + z)));
 }
 
 /* Mirror or rough metal; the choice is made: all of the light is here. */
@@ -336,7 +343,7 @@ INLINE void sample_metal(const lum_surface *surface, const side *at, lmg_vec3 wi
     if (rough) {
         double alpha = (double)surface->alpha, v = xi[2];
         facet f = sample_facet(at, wi, alpha, xi);
-        if (!choose(&v, f.keep)) {
+        if (!choose(&v, keeps_reflected(at, &f, alpha))) {
             out->wo = vec_about(at->g, lum_lobe_sample(surface->tables->metal, alpha, v), u);
             float average[3];
             metal_average(surface, average);
@@ -368,7 +375,7 @@ INLINE void sample_metal(const lum_surface *surface, const side *at, lmg_vec3 wi
                 green = f; /* one field for the three colours: that of the channel with most of the luminance */
             }
         }
-        set_field(pol, &in, green.rs, green.rp, wo, &u);
+        set_field(pol, &in, green.rs, green.rp, green.fs, green.fp, d, m, wo, &u);
     }
     leave(at, wo, true, pol, out);
 }
@@ -390,23 +397,23 @@ INLINE void sample_coated(const lum_surface *surface, const side *at, lmg_vec3 w
 {
     bool rough = surface->alpha >= LUM_SMOOTH;
     lmg_vec3 m = at->n, d = vec_scale(wi, -1);
-    double c = at->ci, keep = 1;
+    double c = at->ci, alpha = (double)surface->alpha, v = xi[2];
+    facet h = {0};
     if (rough) {
-        facet h = sample_facet(at, wi, (double)surface->alpha, xi);
+        h = sample_facet(at, wi, alpha, xi);
         m = h.m;
         c = h.c;
-        keep = h.keep;
     }
     interface f = dielectric(c, eta);
     shares in = shares_of(pol, d, m);
-    if (!choose(&u, (in.s * f.fs + in.p * f.fp) * keep)) {
-        sample_base(surface, at, coat, xi[2], u, pol, out);
+    if (!choose(&u, in.s * f.fs + in.p * f.fp) || (rough && !choose(&v, keeps_reflected(at, &h, alpha)))) {
+        sample_base(surface, at, coat, v, u, pol, out);
         return;
     }
     lmg_vec3 wo = vec_along(d, m, 2 * c);
     set_white(out);
     out->event = LUM_REFLECTED | (rough ? 0 : LUM_DELTA);
-    set_field(pol, &in, f.rs, f.rp, wo, &u);
+    set_field(pol, &in, f.rs, f.rp, f.fs, f.fp, d, m, wo, &u);
     leave(at, wo, true, pol, out);
 }
 
@@ -437,38 +444,37 @@ INLINE void sample_clear(const lum_surface *surface, const side *at, lmg_vec3 wi
     }
     int delta = rough ? 0 : LUM_DELTA;
     lmg_vec3 m = at->n;
-    double c = at->ci, keep = 1, alpha = (double)surface->alpha, v = xi[2];
+    double c = at->ci, alpha = (double)surface->alpha, v = xi[2];
     facet h = {0};
     if (rough) {
         h = sample_facet(at, wi, alpha, xi);
         m = h.m;
         c = h.c;
-        keep = h.keep;
     }
     interface f = thin ? thin_wall(c, eta) : dielectric(c, eta);
     shares in = shares_of(pol, d, m);
     bool reflected = choose(&u, in.s * f.fs + in.p * f.fp);
     if (reflected) {
-        if (!choose(&v, keep)) {
+        if (rough && !choose(&v, keeps_reflected(at, &h, alpha))) {
             goto repeated;
         }
         lmg_vec3 wo = vec_along(d, m, 2 * c);
         set_white(out);
         out->event = LUM_REFLECTED | delta;
-        set_field(pol, &in, f.rs, f.rp, wo, &u);
+        set_field(pol, &in, f.rs, f.rp, f.fs, f.fp, d, m, wo, &u);
         leave(at, wo, true, pol, out);
         return;
     }
     if (thin) {
         /* Reflected, then mirrored at the surface.  Of the field the component along the mirrored wo x s changes sign, so that a wall
          * straight on leaves the field as it is. */
-        if (!choose(&v, keep)) {
+        if (rough && !choose(&v, keeps_reflected(at, &h, alpha))) {
             goto repeated;
         }
         lmg_vec3 wo = vec_along(d, m, 2 * c);
         complex2 tp = passed(f.fp);
         tp.re = -tp.re;
-        set_field(pol, &in, passed(f.fs), tp, wo, &u);
+        set_field(pol, &in, passed(f.fs), tp, 1 - f.fs, 1 - f.fp, d, m, wo, &u);
         mirror_field(pol, at->n);
         wo = rough ? mirrored(wo, at->n) : d;
         set_weight(out, surface->base);
@@ -480,14 +486,14 @@ INLINE void sample_clear(const lum_surface *surface, const side *at, lmg_vec3 wi
     if (rough) {
         double z = -vec_dot(wo, at->n);
         z = z < 1 ? z : 1;
-        keep = z > 0 ? 1 / (1 + ggx_lambda(alpha, z, (1 - z) * (1 + z))) : 0;
+        double keep = z > 0 ? 1 / (1 + ggx_lambda(alpha, z, (1 - z) * (1 + z))) : 0;
         if (!choose(&v, keep)) {
             goto repeated;
         }
     }
     set_weight(out, surface->base);
     out->event = LUM_TRANSMITTED | LUM_BOUNDARY | delta;
-    set_field(pol, &in, passed(f.fs), passed(f.fp), wo, &u);
+    set_field(pol, &in, passed(f.fs), passed(f.fp), 1 - f.fs, 1 - f.fp, d, m, wo, &u);
     leave(at, wo, false, pol, out);
     return;
 

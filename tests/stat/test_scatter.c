@@ -5,6 +5,7 @@
  * refracted direction for the other side, with rings that follow the width of the lobe; odd numbers of cells, so that their edges avoid
  * symmetry planes.
  */
+#include "../../luminaires/src/microfacet.h"
 #include "../unit/make_model.h"
 #include "stats.h"
 
@@ -331,11 +332,22 @@ static lmg_vec3 reflected(lmg_vec3 wi, lmg_vec3 n)
     return v3(c * n.x - wi.x, c * n.y - wi.y, c * n.z - wi.z);
 }
 
+/* Mirrored at the plane with normal n. */
+static lmg_vec3 flipped(lmg_vec3 w, lmg_vec3 n)
+{
+    lmg_vec3 r = reflected(w, n);
+    return v3(-r.x, -r.y, -r.z);
+}
+
 static lmg_vec3 refracted(lmg_vec3 wi, lmg_vec3 n, double step)
 {
     double c = dot(wi, n), t = sqrt(fmax(0, 1 - (1 - c * c) / (step * step))), k = c / step - (c > 0 ? t : -t);
     return unit(v3(k * n.x - wi.x / step, k * n.y - wi.y / step, k * n.z - wi.z / step));
 }
+
+/* What interpolation and quadrature of the albedo tables may be off by (tables_are_accurate): samples follow the true albedo, densities the
+ * table. */
+static const double TABLE = 1e-3;
 
 typedef struct tally {
     int tests;
@@ -357,6 +369,12 @@ static void compare(const char *name, const lum_surface *s, lmg_vec3 wi, float e
     if (dot(wi, normal) * side <= 0) {
         mirror = reflected(wi, s->ng);
         through = refracted(wi, s->ng, step);
+    }
+    if (dot(mirror, s->ng) * side < 0) { /* what points below the surface is mirrored at it, and so is what doesn't when it should */
+        mirror = flipped(mirror, s->ng);
+    }
+    if (dot(through, s->ng) * side > 0) {
+        through = flipped(through, s->ng);
     }
     grid grids[2] = {grid_about(mirror, width), grid_about(through, width)};
     integrate(s, wi, eta, grids, cosine < 0.1 ? 3 * FINE : FINE, &q);
@@ -394,8 +412,6 @@ static void compare(const char *name, const lum_surface *s, lmg_vec3 wi, float e
     assert_true(n.largest <= 1);
 }
 
-/* What linear interpolation between the nodes of the albedo tables and the quadrature here may be off by; measured by tables_are_accurate. */
-static const double TABLE = 1e-3;
 
 static void samples_follow_densities(void **state)
 {
@@ -433,12 +449,207 @@ static void samples_follow_densities(void **state)
     free_model(model);
 }
 
+/* Normals tipped by interpolation or a map: also lobes that are mirrored at the geometric surface have the density they say. */
+static void tilted_normals(void **state)
+{
+    (void)state;
+    lum_model *model = all_materials(true);
+    lum_scene *scene = scene_of(model);
+    const lmg_vec3 tilts[] = {unit(v3(0.3, -0.1, 1)), unit(v3(-1.2, 0.4, 1))};
+    tally t = {.lowest = 1};
+    for (int i = 2; i < CASE_COUNT; i++) {
+        for (int r = 3; r < 5; r++) {
+            for (int a = 1; a < DEGREES_COUNT - 1; a++) {
+                for (int k = 0; k < 4; k++) {
+                    char name[200];
+                    bool behind = k & 1;
+                    lmg_vec3 wi = incoming(DEGREES[a], behind);
+                    lum_surface s = surface_of(scene, 2 * (uint32_t)(i * ROUGHNESS_COUNT + r), v3(-wi.x, -wi.y, -wi.z), &tilts[k / 2]);
+                    snprintf(name, sizeof name, "%s, roughness %g, %g degrees%s, tilt %d", CASES[i].name, (double)ROUGHNESS[r], DEGREES[a],
+                             behind ? " from behind" : "", k / 2);
+                    compare(name, &s, wi, 1, 9000 + (uint64_t)t.tests, TABLE, &t);
+                }
+            }
+        }
+    }
+    print_message("%d comparisons: smallest p %.2e (%s); worst total %.2f of what is allowed, worst weight %.2f se\n", t.tests, t.lowest,
+                  t.where, t.worst_total, t.worst_z);
+    assert_true(t.lowest > stats_sidak(0.01, t.tests));
+    assert_true(t.worst_total <= 1);
+    assert_true(t.worst_z < 4.5);
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
+/* f = p / cos is symmetric; across refraction f / n_o^2 is: radiance over n^2 is what travels unchanged. */
+static void reciprocity(void **state)
+{
+    (void)state;
+    lum_model *model = all_materials(true);
+    lum_scene *scene = scene_of(model);
+    lum_rng rng = lum_rng_stream(31, 0);
+    int compared = 0;
+    for (uint32_t m = 0; m < model->material_count; m++) {
+        const lum_material *material = &model->materials[m];
+        bool solid = material->transmission > 0 && !material->thin;
+        for (int i = 0; i < 400; i++) {
+            lmg_vec3 w[2];
+            for (int k = 0; k < 2; k++) {
+                double z = 2 * lum_rng_next(&rng) - 1, phi = 2 * PI * lum_rng_next(&rng), q = sqrt(1 - z * z);
+                w[k] = v3(q * cos(phi), q * sin(phi), z);
+            }
+            if (material->kind == LUM_SURFACE_PBR && solid && material->transmission < 1 && w[0].z * w[1].z < 0) {
+                continue; /* the diffusing share of a half clear solid has an interface on one side only */
+            }
+            float f[2][3];
+            double n2[2];
+            for (int k = 0; k < 2; k++) {
+                lum_surface s = surface_of(scene, 2 * m, v3(-w[k].x, -w[k].y, -w[k].z), NULL);
+                lum_scatter_eval(&s, w[k], w[1 - k], 1, f[k]);
+                n2[k] = solid && w[1 - k].z < 0 ? (double)material->ior * (double)material->ior : 1;
+            }
+            for (int c = 0; c < 3; c++) {
+                double a = (double)f[0][c] / fabs(w[1].z) / n2[0], b = (double)f[1][c] / fabs(w[0].z) / n2[1];
+                /* p is returned in float; a smooth coat has its exact reflectance for the light that enters and the interpolated one of
+                 * its table for the light that leaves: up to 2e-3 of 1 - E, more where 1 - E itself is small near grazing. */
+                bool smooth_coat = material->kind == LUM_SURFACE_PBR && material->roughness * material->roughness < LUM_SMOOTH;
+                double tolerance = smooth_coat ? 0.02 : 4e-7;
+                if (smooth_coat && (fabs(w[0].z) < 0.05 || fabs(w[1].z) < 0.05)) {
+                    continue;
+                }
+                assert_true(fabs(a - b) <= tolerance * (fabs(a) + fabs(b)));
+                compared += a > 0;
+            }
+        }
+    }
+    print_message("%d values compared\n", compared);
+    assert_true(compared > 10000);
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
+/* The tables against quadrature with a hundred times the points, at cosines and roughnesses between their nodes. */
+static void tables_are_accurate(void **state)
+{
+    (void)state;
+    lum_model *model = make_model();
+    const float texel[4] = {1, 1, 1, 1};
+    int32_t image = make_image(model, 1, 1, texel);
+    uint32_t m[2] = {make_glass(model, 1.5f, 1, false), make_material(model, LUM_SURFACE_PBR)};
+    model->materials[m[0]].metallic = 0.5f;
+    model->materials[m[0]].metal_rough_texture.image = image; /* all roughnesses */
+    model->materials[m[1]].roughness = 0.45f;                 /* one */
+    lum_scene *scene = scene_of(model);
+    for (int which = 0; which < 2; which++) {
+        const struct lum_tables *tables = surface_of(scene, 2 * m[which], v3(0, 0, -1), NULL).tables;
+        const lum_lobe_set *sets[4] = {tables->medium[0].coat, tables->metal, tables->medium[0].outside, tables->medium[0].inside};
+        for (int k = 0; k < (which ? 1 : 4); k++) {
+            double worst = 0;
+            for (int r = 0; r < (which ? 1 : 10); r++) {
+                double alpha = which ? (double)(0.45f * 0.45f) : pow(0.15 + 0.09 * r, 2);
+                for (int j = 1; j < 12; j++) {
+                    double mu = 0.035 + 0.08 * j;
+                    double exact = 1 - lum_lobe_albedo((lum_lobe_kind)sets[k]->kind, alpha, (double)sets[k]->eta, mu, 200000);
+                    worst = fmax(worst, fabs(lum_lobe_rest(sets[k], alpha, mu) - exact));
+                }
+            }
+            print_message("%s, table %d: off by at most %.1e\n", which ? "one roughness" : "all roughnesses", k, worst);
+            /* One roughness: what TABLE says.  Over roughness the error of linear interpolation comes on top, h^2 / 8 times the second
+             * derivative, which is about 10 where the roughness is low and the incidence grazing: (1/24)^2 / 8 * 10 = 2e-3. */
+            assert_true(worst < (which ? TABLE : 4e-3));
+        }
+    }
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
+/* The tests above must be able to fail: densities that are wrong by as much as people get them wrong are found out. */
+static void mutants_are_rejected(void **state)
+{
+    (void)state;
+    lum_model *model = make_model();
+    uint32_t m = make_lambert(model, 1);
+    lum_scene *scene = scene_of(model);
+    lmg_vec3 wi = incoming(51, false);
+    lum_surface s = surface_of(scene, 2 * m, v3(-wi.x, -wi.y, -wi.z), NULL);
+    grid grids[2] = {grid_about(reflected(wi, s.ng), 1), grid_about(v3(0, 0, -1), 1)};
+    static integrals q;
+    static sampled n;
+    integrate(&s, wi, 1, grids, FINE, &q);
+    draw(&s, wi, 1, grids, SAMPLES, 77, &n);
+    double right[CELLS], no_cosine[CELLS], tilted[CELLS], sum = 0;
+    lmg_vec3 tip = unit(v3(0.02, 0, 1)); /* one degree */
+    for (int i = 0; i < CELLS; i++) {
+        right[i] = SAMPLES * q.pdf[i];
+    }
+    assert_true(stats_chi_square(n.counts, right, CELLS, NULL, NULL) > 0.01);
+    for (int mutant = 0; mutant < 2; mutant++) {
+        double *e = mutant ? tilted : no_cosine;
+        sum = 0;
+        for (int i = 0; i < CELLS; i++) {
+            int k = i % HALF;
+            lmg_vec3 w = direction(&grids[i / HALF], ring_angle(&grids[i / HALF], (k / SECTORS + 0.5) / RINGS),
+                                   2 * PI * ((k % SECTORS + 0.5) / SECTORS - 0.5));
+            e[i] = w.z > 0.02 ? right[i] * (mutant ? fmax(dot(w, tip), 0) / w.z : 1 / w.z) : right[i];
+            sum += e[i];
+        }
+        for (int i = 0; i < CELLS; i++) {
+            e[i] *= SAMPLES / sum;
+        }
+        assert_true(stats_chi_square(n.counts, e, CELLS, NULL, NULL) < 1e-6);
+    }
+    /* A pdf scaled by 1.03 shows in the total. */
+    assert_true(fabs(1.03 * q.total - 1) > TABLE);
+    assert_true(fabs(q.total - 1) < TABLE);
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
+static void statistics(void **state)
+{
+    (void)state;
+    /* Tabulated quantiles (Abramowitz and Stegun, table 26.8), to their digits. */
+    assert_true(fabs(stats_chi_square_tail(3.84146, 1) - 0.05) < 1e-6);
+    assert_true(fabs(stats_chi_square_tail(18.3070, 10) - 0.05) < 1e-6);
+    assert_true(fabs(stats_chi_square_tail(135.807, 100) - 0.01) < 1e-5);
+    assert_true(fabs(stats_chi_square_tail(2.55821, 10) - 0.99) < 1e-6);
+    assert_true(fabs(stats_normal_tail(1.95996) - 0.05) < 1e-6);
+    /* p-values of true hypotheses are uniform: Kolmogorov's test at 1e-3 (1.95 / sqrt(n)). */
+    enum { TRIALS = 500, BINS = 23 };
+    double p[TRIALS], worst = 0;
+    lum_rng rng = lum_rng_stream(3, 3);
+    for (int t = 0; t < TRIALS; t++) {
+        double counts[BINS] = {0}, expected[BINS];
+        for (int i = 0; i < 2000; i++) {
+            double x = lum_rng_next(&rng);
+            counts[(int)(x * x * BINS)]++;
+        }
+        for (int i = 0; i < BINS; i++) {
+            expected[i] = 2000 * (sqrt((i + 1.0) / BINS) - sqrt((double)i / BINS));
+        }
+        p[t] = stats_chi_square(counts, expected, BINS, NULL, NULL);
+    }
+    for (int t = 0; t < TRIALS; t++) {
+        double below = 0;
+        for (int i = 0; i < TRIALS; i++) {
+            below += p[i] <= p[t];
+        }
+        worst = fmax(worst, fabs(below / TRIALS - p[t]));
+    }
+    assert_true(worst < 1.95 / sqrt(TRIALS));
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(statistics),
         cmocka_unit_test(white_furnace),
         cmocka_unit_test(extremes),
+        cmocka_unit_test(tables_are_accurate),
+        cmocka_unit_test(mutants_are_rejected),
+        cmocka_unit_test(reciprocity),
         cmocka_unit_test(samples_follow_densities),
+        cmocka_unit_test(tilted_normals),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
