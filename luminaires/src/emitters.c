@@ -237,7 +237,7 @@ static uint32_t cuts_of(const lum_model *model, uint32_t triangle, double *texel
     return n > MAX_CUTS ? MAX_CUTS : n > 1 ? (uint32_t)n : 1;
 }
 
-/* Mean over a patch, by midpoints of k * k equal triangles: two per texel. */
+/* Mean over a patch, by midpoints of k * k equal triangles: four along a texel. */
 static void patch_mean(const lum_model *model, uint32_t triangle, const double corner[2], double step, uint32_t k, double rgb[3])
 {
     rgb[0] = rgb[1] = rgb[2] = 0;
@@ -265,7 +265,7 @@ static void fill_patches(lum_emitters *emitters, emissive_triangle *t)
     if (t->textured) {
         cuts_of(model, t->triangle, &texels);
     }
-    double points = ceil(2 * texels / t->n);
+    double points = ceil(4 * texels / t->n);
     uint32_t k = points > MAX_POINTS ? MAX_POINTS : points > 2 ? (uint32_t)points : 2;
     for (uint32_t i = 0; i < t->n; i++) {
         for (uint32_t w = 0; w < 2 * (t->n - i) - 1; w++) {
