@@ -62,8 +62,8 @@
 #define LOUVRE_BLADE_ROUGHNESS 0.3
 #define LOUVRE_WALL_REFLECTANCE 0.8
 #define LOUVRE_PANEL_REFLECTANCE 0.7
-#define LOUVRE_KELVIN_X 0.3805
-#define LOUVRE_KELVIN_Y 0.3768
+#define LOUVRE_KELVIN_X 0.3451 /* chromaticity of a 5000 K black body, CIE 1931 */
+#define LOUVRE_KELVIN_Y 0.3516
 
 /* ---------------------------------------------------------------------------------------------------------- glass-lens */
 /*
