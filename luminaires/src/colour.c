@@ -7,9 +7,9 @@
 
 /*
  * Chromaticity of the Planckian locus in the CIE 1960 (u,v) diagram by the rational approximation of M. Krystek, "An algorithm to
- * calculate correlated colour temperature", Color Research and Application 10 (1985) 38-40: within 8e-5 in u and 9e-5 in v of the exact
- * locus from 1000 to 15000 K.  Below about 1900 K it leaves the gamut of Rec.709 (negative blue): the light is then mixed with as little
- * white of the same luminance as brings blue to zero, because light fields hold no negative light.
+ * calculate correlated colour temperature", Color Research and Application 10 (1985) 38-40: within 8e-5 in u and 9e-5 in v of the
+ * exact locus from 1000 to 15000 K.  Below about 1900 K it leaves the gamut of Rec.709 (negative blue): the light is then mixed
+ * with as little white of the same luminance as brings blue to zero, because light fields hold no negative light.
  */
 void lum_planckian(double kelvin, double rgb[3])
 {
@@ -43,8 +43,8 @@ void lum_planckian(double kelvin, double rgb[3])
  *   aluminium                 A. D. Rakic, Applied Optics 34 (1995) 4755
  *   tungsten                  J. H. Weaver, C. G. Olson, D. W. Lynch, Phys. Rev. B 12 (1975) 1293
  *   brass (70 % Cu, 30 % Zn)  M. R. Querry, Contractor Report CRDC-CR-85034 (1985)
- * For clean, smooth films; a technical surface reflects less (anodised aluminium about 0.85).  In the comment: reflectance at normal
- * incidence at the three wavelengths.
+ * For clean, smooth films; a technical surface reflects less (anodised aluminium about 0.85).  In the comment: reflectance at
+ * normal incidence at the three wavelengths.
  */
 static const struct {
     const char *name;

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Reading accessors (gltf_accessor.h).  Relies on gltf_check.c: views lie within buffers and accessors within views.  The formulas of
- * normalised integers are those of the glTF 2.0 specification, section 3.11.
+ * Reading accessors (gltf_accessor.h).  Relies on gltf_check.c: views lie within buffers and accessors within views.  The formulas
+ * of normalised integers are those of the glTF 2.0 specification, section 3.11.
  */
 #include "gltf_accessor.h"
 
@@ -61,8 +61,9 @@ static lmg_result apply_sparse(const gltf_document *doc, const gltf_accessor *a,
     for (uint64_t i = 0; i < a->sparse_count; i++) {
         double index = number_at(indices + i * index_size, a->sparse_index_type, false);
         if (index <= last || index >= (double)a->count)
-            return lmg_fail(err, LMG_ERROR_INPUT, "sparse index %.0f is out of order or outside its %llu elements; re-export the mesh",
-                            index, (unsigned long long)a->count);
+            return lmg_fail(err, LMG_ERROR_INPUT,
+                            "sparse index %.0f is out of order or outside its %llu elements; re-export the mesh", index,
+                            (unsigned long long)a->count);
         last = index;
         for (size_t c = 0; c < n; c++)
             values[(size_t)index * n + c] = number_at(from + (i * n + c) * size, a->component_type, a->normalized);

@@ -18,9 +18,9 @@ typedef enum kind {
     K_NUMBER,  /* in [low, high] */
     K_BOOLEAN,
     K_STRING,
-    K_CHOICE,  /* one of the strings in `text`, separated by '|' */
-    K_INDEX,   /* of the top-level array `text` */
-    K_INDICES, /* several of them */
+    K_CHOICE,    /* one of the strings in `text`, separated by '|' */
+    K_INDEX,     /* of the top-level array `text` */
+    K_INDICES,   /* several of them */
     K_INDEX_MAP, /* an object whose members are indices */
     K_INDEX_MAPS,
     K_NUMBERS, /* least..most of them, each in [low, high] */
@@ -44,23 +44,65 @@ typedef struct rule {
 #define POSITIVE 0, INFINITY
 /* The largest integer that a double, and so every JSON reader, keeps exactly. */
 #define EXACT 9007199254740992.0
-#define END {NULL, K_END, false, 0, 0, 0, 0, NULL, NULL}
-#define INTEGER(k, r, lo, hi) {k, K_INTEGER, r, lo, hi, 0, 0, NULL, NULL}
+#define END                                                                                                                        \
+    {                                                                                                                              \
+        NULL, K_END, false, 0, 0, 0, 0, NULL, NULL                                                                                 \
+    }
+#define INTEGER(k, r, lo, hi)                                                                                                      \
+    {                                                                                                                              \
+        k, K_INTEGER, r, lo, hi, 0, 0, NULL, NULL                                                                                  \
+    }
 #define NUMBER(k, range) NUMBER_(k, range)
-#define NUMBER_(k, lo, hi) {k, K_NUMBER, false, lo, hi, 0, 0, NULL, NULL}
+#define NUMBER_(k, lo, hi)                                                                                                         \
+    {                                                                                                                              \
+        k, K_NUMBER, false, lo, hi, 0, 0, NULL, NULL                                                                               \
+    }
 #define NUMBERS(k, n, range) NUMBERS__(k, n, range)
 #define NUMBERS__(k, n, lo, hi) NUMBERS_(k, n, n, lo, hi)
-#define NUMBERS_(k, a, b, lo, hi) {k, K_NUMBERS, false, lo, hi, a, b, NULL, NULL}
-#define BOOLEAN(k) {k, K_BOOLEAN, false, 0, 0, 0, 0, NULL, NULL}
-#define STRING(k) {k, K_STRING, false, 0, 0, 0, 0, NULL, NULL}
-#define CHOICE(k, r, list) {k, K_CHOICE, r, 0, 0, 0, 0, list, NULL}
-#define INDEX(k, r, array) {k, K_INDEX, r, 0, 0, 0, 0, array, NULL}
-#define INDICES(k, array) {k, K_INDICES, false, 0, 0, 0, 0, array, NULL}
-#define INDEX_MAP(k, r, array) {k, K_INDEX_MAP, r, 0, 0, 0, 0, array, NULL}
-#define INDEX_MAPS(k, array) {k, K_INDEX_MAPS, false, 0, 0, 0, 0, array, NULL}
-#define OBJECT(k, r, table) {k, K_OBJECT, r, 0, 0, 0, 0, NULL, table}
-#define OBJECTS(k, r, table) {k, K_OBJECTS, r, 0, 0, 0, 0, NULL, table}
-#define EXTENSIONS(table) {"extensions", K_EXTENSIONS, false, 0, 0, 0, 0, NULL, table}
+#define NUMBERS_(k, a, b, lo, hi)                                                                                                  \
+    {                                                                                                                              \
+        k, K_NUMBERS, false, lo, hi, a, b, NULL, NULL                                                                              \
+    }
+#define BOOLEAN(k)                                                                                                                 \
+    {                                                                                                                              \
+        k, K_BOOLEAN, false, 0, 0, 0, 0, NULL, NULL                                                                                \
+    }
+#define STRING(k)                                                                                                                  \
+    {                                                                                                                              \
+        k, K_STRING, false, 0, 0, 0, 0, NULL, NULL                                                                                 \
+    }
+#define CHOICE(k, r, list)                                                                                                         \
+    {                                                                                                                              \
+        k, K_CHOICE, r, 0, 0, 0, 0, list, NULL                                                                                     \
+    }
+#define INDEX(k, r, array)                                                                                                         \
+    {                                                                                                                              \
+        k, K_INDEX, r, 0, 0, 0, 0, array, NULL                                                                                     \
+    }
+#define INDICES(k, array)                                                                                                          \
+    {                                                                                                                              \
+        k, K_INDICES, false, 0, 0, 0, 0, array, NULL                                                                               \
+    }
+#define INDEX_MAP(k, r, array)                                                                                                     \
+    {                                                                                                                              \
+        k, K_INDEX_MAP, r, 0, 0, 0, 0, array, NULL                                                                                 \
+    }
+#define INDEX_MAPS(k, array)                                                                                                       \
+    {                                                                                                                              \
+        k, K_INDEX_MAPS, false, 0, 0, 0, 0, array, NULL                                                                            \
+    }
+#define OBJECT(k, r, table)                                                                                                        \
+    {                                                                                                                              \
+        k, K_OBJECT, r, 0, 0, 0, 0, NULL, table                                                                                    \
+    }
+#define OBJECTS(k, r, table)                                                                                                       \
+    {                                                                                                                              \
+        k, K_OBJECTS, r, 0, 0, 0, 0, NULL, table                                                                                   \
+    }
+#define EXTENSIONS(table)                                                                                                          \
+    {                                                                                                                              \
+        "extensions", K_EXTENSIONS, false, 0, 0, 0, 0, NULL, table                                                                 \
+    }
 
 static const rule nothing[] = {END};
 static const rule no_extensions[] = {EXTENSIONS(nothing), END};
@@ -69,12 +111,12 @@ static const rule transform_rules[] = {NUMBERS("offset", 2, ANY), NUMBER("rotati
                                        INTEGER("texCoord", false, 0, 255), END};
 static const rule texture_use_extensions[] = {OBJECT("KHR_texture_transform", false, transform_rules), END};
 static const rule texture_use_rules[] = {INDEX("index", true, "textures"), INTEGER("texCoord", false, 0, 255), NUMBER("scale", ANY),
-                                         NUMBER("strength", ANY), EXTENSIONS(texture_use_extensions), END};
+                                         NUMBER("strength", ANY),          EXTENSIONS(texture_use_extensions), END};
 
 static const rule emissive_strength_rules[] = {NUMBER("emissiveStrength", POSITIVE), END};
 static const rule ior_rules[] = {NUMBER("ior", POSITIVE), END};
-static const rule transmission_rules[] = {NUMBER("transmissionFactor", FRACTION), OBJECT("transmissionTexture", false, texture_use_rules),
-                                          END};
+static const rule transmission_rules[] = {NUMBER("transmissionFactor", FRACTION),
+                                          OBJECT("transmissionTexture", false, texture_use_rules), END};
 static const rule volume_rules[] = {NUMBER("thicknessFactor", POSITIVE), OBJECT("thicknessTexture", false, texture_use_rules),
                                     NUMBER("attenuationDistance", POSITIVE), NUMBERS("attenuationColor", 3, FRACTION), END};
 static const rule diffuse_transmission_rules[] = {NUMBER("diffuseTransmissionFactor", FRACTION),
@@ -86,7 +128,8 @@ static const rule material_extensions[] = {OBJECT("KHR_materials_emissive_streng
                                            OBJECT("KHR_materials_transmission", false, transmission_rules),
                                            OBJECT("KHR_materials_volume", false, volume_rules),
                                            OBJECT("KHR_materials_diffuse_transmission", false, diffuse_transmission_rules),
-                                           OBJECT("KHR_materials_unlit", false, nothing), END};
+                                           OBJECT("KHR_materials_unlit", false, nothing),
+                                           END};
 static const rule metallic_rules[] = {NUMBERS("baseColorFactor", 4, FRACTION),
                                       OBJECT("baseColorTexture", false, texture_use_rules),
                                       NUMBER("metallicFactor", FRACTION),
@@ -106,12 +149,16 @@ static const rule material_rules[] = {STRING("name"),
                                       END};
 
 static const rule buffer_rules[] = {STRING("uri"), INTEGER("byteLength", true, 1, EXACT), EXTENSIONS(nothing), END};
-static const rule view_rules[] = {INDEX("buffer", true, "buffers"), INTEGER("byteOffset", false, 0, EXACT),
-                                  INTEGER("byteLength", true, 1, EXACT), INTEGER("byteStride", false, 4, 252),
-                                  EXTENSIONS(nothing), END};
+static const rule view_rules[] = {INDEX("buffer", true, "buffers"),
+                                  INTEGER("byteOffset", false, 0, EXACT),
+                                  INTEGER("byteLength", true, 1, EXACT),
+                                  INTEGER("byteStride", false, 4, 252),
+                                  EXTENSIONS(nothing),
+                                  END};
 static const rule sparse_index_rules[] = {INDEX("bufferView", true, "bufferViews"), INTEGER("byteOffset", false, 0, 2147483647),
                                           INTEGER("componentType", true, 5121, 5125), END};
-static const rule sparse_value_rules[] = {INDEX("bufferView", true, "bufferViews"), INTEGER("byteOffset", false, 0, 2147483647), END};
+static const rule sparse_value_rules[] = {INDEX("bufferView", true, "bufferViews"), INTEGER("byteOffset", false, 0, 2147483647),
+                                          END};
 static const rule sparse_rules[] = {INTEGER("count", true, 1, 2147483647), OBJECT("indices", true, sparse_index_rules),
                                     OBJECT("values", true, sparse_value_rules), END};
 static const rule accessor_rules[] = {INDEX("bufferView", false, "bufferViews"),
@@ -123,12 +170,15 @@ static const rule accessor_rules[] = {INDEX("bufferView", false, "bufferViews"),
                                       OBJECT("sparse", false, sparse_rules),
                                       EXTENSIONS(nothing),
                                       END};
-static const rule primitive_rules[] = {INDEX_MAP("attributes", true, "accessors"), INDEX("indices", false, "accessors"),
-                                       INDEX("material", false, "materials"),      INTEGER("mode", false, 0, 6),
-                                       INDEX_MAPS("targets", "accessors"),         EXTENSIONS(nothing),
+static const rule primitive_rules[] = {INDEX_MAP("attributes", true, "accessors"),
+                                       INDEX("indices", false, "accessors"),
+                                       INDEX("material", false, "materials"),
+                                       INTEGER("mode", false, 0, 6),
+                                       INDEX_MAPS("targets", "accessors"),
+                                       EXTENSIONS(nothing),
                                        END};
-static const rule mesh_rules[] = {STRING("name"), OBJECTS("primitives", true, primitive_rules), NUMBERS_("weights", 0, SIZE_MAX, -INFINITY, INFINITY),
-                                  EXTENSIONS(nothing), END};
+static const rule mesh_rules[] = {STRING("name"), OBJECTS("primitives", true, primitive_rules),
+                                  NUMBERS_("weights", 0, SIZE_MAX, -INFINITY, INFINITY), EXTENSIONS(nothing), END};
 static const rule node_light_rules[] = {INDEX("light", true, "lights"), END};
 static const rule instancing_rules[] = {INDEX_MAP("attributes", true, "accessors"), END};
 static const rule node_extensions[] = {OBJECT("KHR_lights_punctual", false, node_light_rules),
@@ -146,23 +196,39 @@ static const rule node_rules[] = {STRING("name"),
                                   EXTENSIONS(node_extensions),
                                   END};
 static const rule scene_rules[] = {STRING("name"), INDICES("nodes", "nodes"), EXTENSIONS(nothing), END};
-static const rule image_rules[] = {STRING("name"), STRING("uri"), STRING("mimeType"), INDEX("bufferView", false, "bufferViews"),
-                                   EXTENSIONS(nothing), END};
-static const rule sampler_rules[] = {INTEGER("magFilter", false, 9728, 9729), INTEGER("minFilter", false, 9728, 9987),
-                                     INTEGER("wrapS", false, 10497, 33648), INTEGER("wrapT", false, 10497, 33648), EXTENSIONS(nothing),
+static const rule image_rules[] = {
+    STRING("name"), STRING("uri"), STRING("mimeType"), INDEX("bufferView", false, "bufferViews"), EXTENSIONS(nothing), END};
+static const rule sampler_rules[] = {INTEGER("magFilter", false, 9728, 9729),
+                                     INTEGER("minFilter", false, 9728, 9987),
+                                     INTEGER("wrapS", false, 10497, 33648),
+                                     INTEGER("wrapT", false, 10497, 33648),
+                                     EXTENSIONS(nothing),
                                      END};
 /* A texture's source may be dangling: it matters only when a slot that moves light uses it, and is checked there. */
-static const rule texture_rules[] = {INDEX("sampler", false, "samplers"), INTEGER("source", false, 0, 2147483647), EXTENSIONS(nothing), END};
-static const rule perspective_rules[] = {{"yfov", K_NUMBER, true, 1e-6, 3.14159265358979, 0, 0, NULL, NULL}, NUMBER("znear", POSITIVE),
-                                         NUMBER("zfar", POSITIVE), NUMBER("aspectRatio", POSITIVE), EXTENSIONS(nothing), END};
-static const rule orthographic_rules[] = {NUMBER("xmag", ANY), NUMBER("ymag", ANY), NUMBER("zfar", ANY), NUMBER("znear", ANY),
-                                          EXTENSIONS(nothing), END};
-static const rule camera_rules[] = {STRING("name"), CHOICE("type", true, "perspective|orthographic"),
-                                    OBJECT("perspective", false, perspective_rules), OBJECT("orthographic", false, orthographic_rules),
-                                    EXTENSIONS(nothing), END};
+static const rule texture_rules[] = {INDEX("sampler", false, "samplers"), INTEGER("source", false, 0, 2147483647),
+                                     EXTENSIONS(nothing), END};
+static const rule perspective_rules[] = {{"yfov", K_NUMBER, true, 1e-6, 3.14159265358979, 0, 0, NULL, NULL},
+                                         NUMBER("znear", POSITIVE),
+                                         NUMBER("zfar", POSITIVE),
+                                         NUMBER("aspectRatio", POSITIVE),
+                                         EXTENSIONS(nothing),
+                                         END};
+static const rule orthographic_rules[] = {NUMBER("xmag", ANY),  NUMBER("ymag", ANY), NUMBER("zfar", ANY),
+                                          NUMBER("znear", ANY), EXTENSIONS(nothing), END};
+static const rule camera_rules[] = {STRING("name"),
+                                    CHOICE("type", true, "perspective|orthographic"),
+                                    OBJECT("perspective", false, perspective_rules),
+                                    OBJECT("orthographic", false, orthographic_rules),
+                                    EXTENSIONS(nothing),
+                                    END};
 static const rule spot_rules[] = {NUMBER("innerConeAngle", POSITIVE), NUMBER_("outerConeAngle", 0, 1.5707963267949), END};
-static const rule light_rules[] = {STRING("name"), CHOICE("type", true, "point|spot|directional"), NUMBERS("color", 3, POSITIVE),
-                                   NUMBER("intensity", POSITIVE), OBJECT("spot", false, spot_rules), EXTENSIONS(nothing), END};
+static const rule light_rules[] = {STRING("name"),
+                                   CHOICE("type", true, "point|spot|directional"),
+                                   NUMBERS("color", 3, POSITIVE),
+                                   NUMBER("intensity", POSITIVE),
+                                   OBJECT("spot", false, spot_rules),
+                                   EXTENSIONS(nothing),
+                                   END};
 static const rule lights_rules[] = {OBJECTS("lights", true, light_rules), END};
 static const rule root_extensions[] = {OBJECT("KHR_lights_punctual", false, lights_rules), END};
 static const rule asset_rules[] = {STRING("version"), STRING("minVersion"), END};
@@ -183,18 +249,13 @@ static const rule root_rules[] = {OBJECT("asset", true, asset_rules),
                                   EXTENSIONS(root_extensions),
                                   END};
 
-/* Extensions a file may require.  KHR_mesh_quantization only widens the types that accessors may have; KHR_materials_variants leaves
- * the default materials in place; KHR_materials_unlit and animations pointers don't move light. */
-static const char *const understood[] = {"KHR_texture_transform",
-                                         "KHR_materials_emissive_strength",
-                                         "KHR_materials_ior",
-                                         "KHR_materials_transmission",
-                                         "KHR_materials_volume",
-                                         "KHR_materials_diffuse_transmission",
-                                         "KHR_materials_unlit",
-                                         "KHR_lights_punctual",
-                                         "KHR_mesh_quantization",
-                                         "KHR_materials_variants",
+/* Extensions a file may require.  KHR_mesh_quantization only widens the types that accessors may have; KHR_materials_variants
+ * leaves the default materials in place; KHR_materials_unlit and animations pointers don't move light. */
+static const char *const understood[] = {"KHR_texture_transform",  "KHR_materials_emissive_strength",
+                                         "KHR_materials_ior",      "KHR_materials_transmission",
+                                         "KHR_materials_volume",   "KHR_materials_diffuse_transmission",
+                                         "KHR_materials_unlit",    "KHR_lights_punctual",
+                                         "KHR_mesh_quantization",  "KHR_materials_variants",
                                          "EXT_mesh_gpu_instancing"};
 
 typedef struct walk {
@@ -302,7 +363,8 @@ static lmg_result check_index_map(walk *w, json_t *map, const char *array)
         return bad(w, "must be an object");
     const char *key;
     json_t *value;
-    json_object_foreach (map, key, value) {
+    json_object_foreach(map, key, value)
+    {
         size_t length = w->length;
         push(w, ".%.40s", key);
         lmg_result r = check_index(w, value, array);
@@ -365,7 +427,8 @@ static lmg_result check_extensions(walk *w, json_t *object, const rule *known)
     const char *key;
     json_t *value;
     void *next;
-    json_object_foreach_safe (object, next, key, value) {
+    json_object_foreach_safe(object, next, key, value)
+    {
         if (find_rule(known, key))
             continue;
         if (!is_understood(key))
@@ -423,7 +486,8 @@ static lmg_result check_object(walk *w, json_t *object, const rule *rules)
     const char *key;
     json_t *value;
     void *next;
-    json_object_foreach_safe (object, next, key, value) {
+    json_object_foreach_safe(object, next, key, value)
+    {
         const rule *r = find_rule(rules, key);
         if (!r) {
             json_object_del(object, key);
@@ -489,7 +553,8 @@ static lmg_result check_spots(const json_t *root, lmg_error *err)
     for (size_t i = 0; i < json_array_size(lights); i++) {
         const json_t *light = json_array_get(lights, i);
         if (strcmp(json_string_value(json_object_get(light, "type")), "spot") == 0 && !json_object_get(light, "spot"))
-            return lmg_fail(err, LMG_ERROR_INPUT, "extensions.KHR_lights_punctual.lights[%zu]: a spot light needs the object \"spot\"", i);
+            return lmg_fail(err, LMG_ERROR_INPUT,
+                            "extensions.KHR_lights_punctual.lights[%zu]: a spot light needs the object \"spot\"", i);
     }
     return LMG_OK;
 }
@@ -549,8 +614,8 @@ static uint64_t component_count(const char *type)
     return 0;
 }
 
-/* Whether count elements of `size` bytes, `stride` apart from offset on, lie within a view.  All numbers are below 2^53 (gltf_check), the
- * stride below 2^8 and the count below 2^32, so nothing overflows 64 bits. */
+/* Whether count elements of `size` bytes, `stride` apart from offset on, lie within a view.  All numbers are below 2^53
+ * (gltf_check), the stride below 2^8 and the count below 2^32, so nothing overflows 64 bits. */
 static bool fits(const json_t *view, uint64_t offset, uint64_t count, uint64_t size, uint64_t stride)
 {
     return offset + (count - 1) * stride + size <= get(view, "byteLength");
@@ -573,7 +638,8 @@ static lmg_result check_sparse(const json_t *root, const json_t *accessor, size_
     const json_t *value_view = json_array_get(views, get(values, "bufferView"));
     if (!fits(index_view, get(indices, "byteOffset"), count, index_size, index_size) ||
         !fits(value_view, get(values, "byteOffset"), count, size, size))
-        return lmg_fail(err, LMG_ERROR_INPUT, "accessors[%zu].sparse: reaches past the end of its buffer view; re-export the model", i);
+        return lmg_fail(err, LMG_ERROR_INPUT, "accessors[%zu].sparse: reaches past the end of its buffer view; re-export the model",
+                        i);
     return LMG_OK;
 }
 
@@ -586,8 +652,9 @@ static lmg_result check_index_views(const json_t *root, lmg_error *err)
         for (size_t j = 0; j < json_array_size(primitives); j++) {
             const json_t *indices = json_object_get(json_array_get(primitives, j), "indices");
             if (indices && !json_object_get(json_array_get(accessors, (size_t)json_integer_value(indices)), "bufferView"))
-                return lmg_fail(err, LMG_ERROR_INPUT, "meshes[%zu].primitives[%zu].indices: accessor %" PRIu64
-                                                      " has no buffer view; re-export the model", i, j, (uint64_t)json_integer_value(indices));
+                return lmg_fail(err, LMG_ERROR_INPUT,
+                                "meshes[%zu].primitives[%zu].indices: accessor %" PRIu64 " has no buffer view; re-export the model",
+                                i, j, (uint64_t)json_integer_value(indices));
         }
     }
     return LMG_OK;
@@ -602,7 +669,8 @@ lmg_result gltf_check_reach(const json_t *root, lmg_error *err)
         uint64_t buffer = get(v, "buffer"), end = get(v, "byteOffset") + get(v, "byteLength");
         uint64_t length = get(json_array_get(buffers, buffer), "byteLength");
         if (get(v, "byteStride") % 4)
-            return lmg_fail(err, LMG_ERROR_INPUT, "bufferViews[%zu].byteStride: %" PRIu64 " is not a multiple of 4; re-export the model", i,
+            return lmg_fail(err, LMG_ERROR_INPUT,
+                            "bufferViews[%zu].byteStride: %" PRIu64 " is not a multiple of 4; re-export the model", i,
                             get(v, "byteStride"));
         if (end > length)
             return lmg_fail(err, LMG_ERROR_INPUT,
@@ -624,8 +692,8 @@ lmg_result gltf_check_reach(const json_t *root, lmg_error *err)
             uint64_t stride = json_object_get(view, "byteStride") ? get(view, "byteStride") : size;
             if (!fits(view, get(a, "byteOffset"), get(a, "count"), size, stride))
                 return lmg_fail(err, LMG_ERROR_INPUT,
-                                "accessors[%zu]: %" PRIu64 " elements of %" PRIu64 " bytes reach past the end of buffer view %" PRIu64
-                                "; the file is damaged, re-export the model",
+                                "accessors[%zu]: %" PRIu64 " elements of %" PRIu64
+                                " bytes reach past the end of buffer view %" PRIu64 "; the file is damaged, re-export the model",
                                 i, get(a, "count"), size, get(a, "bufferView"));
         }
         if (json_object_get(a, "sparse")) {

@@ -19,8 +19,9 @@ typedef struct gltf_ignored {
 } gltf_ignored;
 
 /*
- * Integers written as 3.0 become integers.  Errors: LMG_ERROR_INPUT with the element's path and name, LMG_ERROR_UNSUPPORTED for required
- * extensions and other versions of glTF.  After success root has no "extras", no animations or skins, and no unknown members.
+ * Integers written as 3.0 become integers.  Errors: LMG_ERROR_INPUT with the element's path and name, LMG_ERROR_UNSUPPORTED for
+ * required extensions and other versions of glTF.  After success root has no "extras", no animations or skins, and no unknown
+ * members.
  */
 lmg_result gltf_check(json_t *root, gltf_ignored *ignored, lmg_error *err);
 

@@ -15,7 +15,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-/* Bounds on what is read into memory, far above any luminaire: a file, all buffers together, pixels of an image and a side of it. */
+/* Bounds on what is read into memory, far above any luminaire: a file, all buffers together, pixels of an image and a side of it.
+ */
 #define MAX_FILE_BYTES ((size_t)2 << 30)
 #define MAX_BUFFER_BYTES ((size_t)4 << 30)
 #define MAX_IMAGE_PIXELS ((uint64_t)1 << 26)
@@ -38,7 +39,8 @@ lmg_result lum_read_file(const char *path, size_t limit, uint8_t **bytes, size_t
         goto cleanup;
     }
     if (!S_ISREG(info.st_mode)) {
-        result = lmg_fail(err, LMG_ERROR_FILE_OPEN, "%s", S_ISDIR(info.st_mode) ? "is a folder, not a file" : "is not a regular file");
+        result =
+            lmg_fail(err, LMG_ERROR_FILE_OPEN, "%s", S_ISDIR(info.st_mode) ? "is a folder, not a file" : "is not a regular file");
         goto cleanup;
     }
     if (info.st_size < 0 || (uint64_t)info.st_size > limit) {
@@ -226,15 +228,16 @@ static lmg_result parse_json(const char *text, size_t size, json_t **root, lmg_e
         return LMG_OK;
     if (json_error_code(&e) == json_error_out_of_memory)
         return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory");
-    return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "not a glTF file: JSON error in line %d, column %d: %.200s", e.line, e.column, e.text);
+    return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "not a glTF file: JSON error in line %d, column %d: %.200s", e.line, e.column,
+                    e.text);
 }
 
 /* ------------------------------------------------------------------------------------------------------------- buffers */
 
 typedef struct loading {
     gltf_file *file;
-    const char *dir;     /* of the model, with its final slash; "" = the current one */
-    gltf_bytes chunk;    /* of a GLB */
+    const char *dir;  /* of the model, with its final slash; "" = the current one */
+    gltf_bytes chunk; /* of a GLB */
     json_t *root;
     gltf_bytes *buffers;
     uint8_t **owned; /* their contents */
@@ -453,7 +456,8 @@ static bool image_size(const uint8_t *b, size_t n, uint32_t *width, uint32_t *he
     return false;
 }
 
-static lmg_result decode(const uint8_t *bytes, size_t size, uint32_t *width, uint32_t *height, int *bits, void **pixels, lmg_error *err)
+static lmg_result decode(const uint8_t *bytes, size_t size, uint32_t *width, uint32_t *height, int *bits, void **pixels,
+                         lmg_error *err)
 {
     if (!image_size(bytes, size, width, height))
         return lmg_fail(err, LMG_ERROR_INPUT, "is neither PNG nor JPEG, or damaged; save it as PNG");
@@ -464,7 +468,8 @@ static lmg_result decode(const uint8_t *bytes, size_t size, uint32_t *width, uin
     return gltf_image_decode(bytes, size, width, height, bits, pixels, err);
 }
 
-lmg_result gltf_image_load(gltf_file *file, uint32_t index, uint32_t *width, uint32_t *height, int *bits, void **pixels, lmg_error *err)
+lmg_result gltf_image_load(gltf_file *file, uint32_t index, uint32_t *width, uint32_t *height, int *bits, void **pixels,
+                           lmg_error *err)
 {
     const gltf_image *image = &file->images[index];
     uint8_t *owned = NULL;

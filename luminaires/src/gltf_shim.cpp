@@ -17,7 +17,8 @@
 
 #include <tiny_gltf.h>
 
-namespace {
+namespace
+{
 
 using tinygltf::Value;
 

@@ -24,12 +24,12 @@ typedef struct gltf_view {
 } gltf_view;
 
 typedef struct gltf_accessor {
-    int32_t view;            /* -1: zeros */
+    int32_t view; /* -1: zeros */
     uint64_t offset, count;
-    int32_t component_type;  /* 5120 BYTE .. 5126 FLOAT */
-    int32_t components;      /* 1 SCALAR, 2..4 VECn; matrices 4, 9, 16 */
+    int32_t component_type; /* 5120 BYTE .. 5126 FLOAT */
+    int32_t components;     /* 1 SCALAR, 2..4 VECn; matrices 4, 9, 16 */
     bool normalized;
-    uint64_t sparse_count;   /* 0 = not sparse */
+    uint64_t sparse_count; /* 0 = not sparse */
     int32_t sparse_index_view, sparse_index_type, sparse_value_view;
     uint64_t sparse_index_offset, sparse_value_offset;
 } gltf_accessor;
@@ -73,7 +73,7 @@ typedef struct gltf_morph_target {
 } gltf_morph_target;
 
 typedef struct gltf_primitive {
-    int32_t mode;   /* 0 points .. 4 triangles, 5 strip, 6 fan */
+    int32_t mode; /* 0 points .. 4 triangles, 5 strip, 6 fan */
     int32_t indices, material;
     int32_t position, normal, tangent, uv[2], color;
     const gltf_morph_target *targets;
@@ -94,8 +94,8 @@ typedef struct gltf_node {
     const int32_t *children;
     uint32_t child_count;
     bool has_matrix;
-    double matrix[16];                                  /* column by column */
-    double translation[3], rotation[4], scale[3];       /* rotation: quaternion x,y,z,w */
+    double matrix[16];                            /* column by column */
+    double translation[3], rotation[4], scale[3]; /* rotation: quaternion x,y,z,w */
     const double *weights;
     uint32_t weight_count;
     int32_t instance_translation, instance_rotation, instance_scale; /* EXT_mesh_gpu_instancing accessors, -1 = none */
@@ -104,7 +104,7 @@ typedef struct gltf_node {
 
 typedef struct gltf_light {
     const char *name;
-    int32_t kind; /* 0 point, 1 spot, 2 directional */
+    int32_t kind;                             /* 0 point, 1 spot, 2 directional */
     double color[3], intensity, inner, outer; /* cone angles, radians */
 } gltf_light;
 
@@ -120,18 +120,29 @@ typedef struct gltf_scene {
 } gltf_scene;
 
 typedef struct gltf_document {
-    gltf_bytes *buffers;        uint32_t buffer_count;
-    gltf_view *views;           uint32_t view_count;
-    gltf_accessor *accessors;   uint32_t accessor_count;
-    gltf_sampler *samplers;     uint32_t sampler_count;
-    gltf_texture *textures;     uint32_t texture_count;
-    gltf_material *materials;   uint32_t material_count;
-    gltf_mesh *meshes;          uint32_t mesh_count;
-    gltf_node *nodes;           uint32_t node_count;
-    gltf_light *lights;         uint32_t light_count;
-    gltf_camera *cameras;       uint32_t camera_count;
-    gltf_scene *scenes;         uint32_t scene_count;
-    int32_t scene;              /* the default scene, else the first; -1 = the file has none */
+    gltf_bytes *buffers;
+    uint32_t buffer_count;
+    gltf_view *views;
+    uint32_t view_count;
+    gltf_accessor *accessors;
+    uint32_t accessor_count;
+    gltf_sampler *samplers;
+    uint32_t sampler_count;
+    gltf_texture *textures;
+    uint32_t texture_count;
+    gltf_material *materials;
+    uint32_t material_count;
+    gltf_mesh *meshes;
+    uint32_t mesh_count;
+    gltf_node *nodes;
+    uint32_t node_count;
+    gltf_light *lights;
+    uint32_t light_count;
+    gltf_camera *cameras;
+    uint32_t camera_count;
+    gltf_scene *scenes;
+    uint32_t scene_count;
+    int32_t scene; /* the default scene, else the first; -1 = the file has none */
 } gltf_document;
 
 /*
@@ -142,7 +153,8 @@ lmg_result gltf_document_parse(const char *json, size_t size, const gltf_bytes *
                                lmg_error *err);
 void gltf_document_free(gltf_document *document);
 
-/* Decodes a PNG or JPEG to R,G,B,A: 8 bits (bits 8, bytes) or 16 bits (bits 16, native uint16_t) a channel.  *pixels is freed by free(). */
+/* Decodes a PNG or JPEG to R,G,B,A: 8 bits (bits 8, bytes) or 16 bits (bits 16, native uint16_t) a channel.  *pixels is freed by
+ * free(). */
 lmg_result gltf_image_decode(const uint8_t *bytes, size_t size, uint32_t *width, uint32_t *height, int *bits, void **pixels,
                              lmg_error *err);
 

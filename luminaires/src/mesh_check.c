@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What the meshes are like: area, openness and enclosed volume of each part, and faces that lie on each other.  Equal positions count as
- * one vertex, whatever their normals and texture coordinates: exporters split vertices there. */
+/* What the meshes are like: area, openness and enclosed volume of each part, and faces that lie on each other.  Equal positions
+ * count as one vertex, whatever their normals and texture coordinates: exporters split vertices there. */
 #include "model_build.h"
 
 #include <math.h>
@@ -87,8 +87,9 @@ static lmg_result count_boundary(lum_model *m, const uint32_t *same, lmg_error *
     return LMG_OK;
 }
 
-/* Triangles on the same three places.  The same way round, in the same material: a copy that adds nothing, removed.  Otherwise which of
- * the two light meets is chance.  Back to back in the same opaque material that is harmless and a common way to say "two-sided". */
+/* Triangles on the same three places.  The same way round, in the same material: a copy that adds nothing, removed.  Otherwise
+ * which of the two light meets is chance.  Back to back in the same opaque material that is harmless and a common way to say
+ * "two-sided". */
 typedef struct pair {
     int32_t material, other;
     uint32_t count;
@@ -173,12 +174,17 @@ static lmg_result find_coincident(lum_build *b, const uint32_t *same)
     for (uint32_t i = 0; i < count && !result; i++) {
         const char *material = m->materials[pairs[i].material].name, *mesh = m->parts[pairs[i].part].mesh;
         if (pairs[i].material == pairs[i].other)
-            lum_warn(b, "material \"%.60s\" (mesh \"%.60s\"): %u of its faces lie back to back on others of it, so light passes it twice. If "
-                        "it is one wall, delete one side in the model, or halve its effect by a recipe entry", material, mesh, pairs[i].count);
+            lum_warn(b,
+                     "material \"%.60s\" (mesh \"%.60s\"): %u of its faces lie back to back on others of it, so light passes it "
+                     "twice. If "
+                     "it is one wall, delete one side in the model, or halve its effect by a recipe entry",
+                     material, mesh, pairs[i].count);
         else
-            lum_warn(b, "material \"%.60s\" (mesh \"%.60s\"): %u of its faces lie on faces of material \"%.60s\"; which one light meets is "
-                        "chance. Recipe entry \"leave_out\" can take one of them away",
-                     material, mesh, pairs[i].count, m->materials[pairs[i].other].name);
+            lum_warn(
+                b,
+                "material \"%.60s\" (mesh \"%.60s\"): %u of its faces lie on faces of material \"%.60s\"; which one light meets is "
+                "chance. Recipe entry \"leave_out\" can take one of them away",
+                material, mesh, pairs[i].count, m->materials[pairs[i].other].name);
     }
     free(t.entries);
     free(pairs);
@@ -238,7 +244,8 @@ static uint32_t find_root(uint32_t *parent, uint32_t v)
 }
 
 /* Pieces: triangles of a part that share vertices.  The middle of a piece is the mean of its surface. */
-static void mark_inside(const lum_model *m, const lum_part *part, uint32_t *same, uint32_t *parent, double (*middle)[4], bool *inside)
+static void mark_inside(const lum_model *m, const lum_part *part, uint32_t *same, uint32_t *parent, double (*middle)[4],
+                        bool *inside)
 {
     uint32_t first = part->first_triangle, last = first + part->triangle_count;
     for (uint32_t t = first; t < last; t++)

@@ -29,6 +29,7 @@ void lum_warn(lum_build *b, const char *format, ...)
         va_start(args, format);
         vsnprintf(text, sizeof text, format, args);
         va_end(args);
+        lum_make_one_line(text);
     }
     char *copy = strdup(text);
     if (copy)

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* A model under construction: shared by the files that turn a glTF document into a lum_model, in this order:
- * model.c (the whole), model_nodes.c -> model_mesh.c, model_material.c, model_finish.c, recipe_apply.c, mesh_check.c, model_warn.c. */
+ * model.c (the whole), model_nodes.c -> model_mesh.c, model_material.c, model_finish.c, recipe_apply.c, mesh_check.c, model_warn.c.
+ */
 #ifndef LUMINAIRES_MODEL_BUILD_H
 #define LUMINAIRES_MODEL_BUILD_H
 
@@ -21,15 +22,15 @@ typedef struct lum_build {
     const lum_recipe *recipe; /* may be NULL */
     lum_model *model;
     lmg_error *err;
-    bool *entry_matched;      /* per recipe entry */
-    double scale;             /* of the whole model, from the recipe */
+    bool *entry_matched; /* per recipe entry */
+    double scale;        /* of the whole model, from the recipe */
 
-    double *positions;        /* 3 per vertex, metres, the file's frame */
+    double *positions; /* 3 per vertex, metres, the file's frame */
     uint32_t vertex_capacity, triangle_capacity, part_capacity;
-    int32_t *part_node;       /* the document's node of each part */
-    int32_t *node_parent;     /* of each of the document's nodes, -1 = root or not in the scene */
-    int32_t *image_slots;     /* per document image: 2 model images (linear, sRGB), LUM_NONE where not loaded yet */
-    uint64_t texel_count;     /* of all images together */
+    int32_t *part_node;   /* the document's node of each part */
+    int32_t *node_parent; /* of each of the document's nodes, -1 = root or not in the scene */
+    int32_t *image_slots; /* per document image: 2 model images (linear, sRGB), LUM_NONE where not loaded yet */
+    uint64_t texel_count; /* of all images together */
     uint32_t warning_capacity;
     bool warned_lines, warned_skin, warned_morph;
 } lum_build;
@@ -44,13 +45,15 @@ void lum_warn(lum_build *b, const char *format, ...)
 /* Grows *array (elements of `size` bytes) to hold at least `needed`; doubles the capacity. */
 lmg_result lum_grow(void **array, size_t size, size_t needed, lmg_error *err);
 
-/* model_nodes.c: walks the scene; parts, lights and cameras in the file's frame (lights and positions in b->positions not yet centred). */
+/* model_nodes.c: walks the scene; parts, lights and cameras in the file's frame (lights and positions in b->positions not yet
+ * centred). */
 lmg_result lum_build_scene(lum_build *b);
 
 /* model_mesh.c: appends one primitive under one transform. */
 lmg_result lum_build_primitive(lum_build *b, int32_t node, int32_t mesh, uint32_t primitive, const lum_affine *to_world);
 
-/* model_material.c: the document's materials, those that no part uses left empty, and last glTF's default material; their images. */
+/* model_material.c: the document's materials, those that no part uses left empty, and last glTF's default material; their images.
+ */
 lmg_result lum_build_materials(lum_build *b);
 
 /* model_finish.c: centre, rounding to float, degenerate triangles, tangents, bounds. */
@@ -60,11 +63,12 @@ lmg_result lum_build_finish(lum_build *b);
 lmg_result lum_check_meshes(lum_build *b);
 
 double lum_triangle_area(const lum_model *model, uint32_t triangle);
-/* Per triangle: whether it faces the middle of the piece (connected triangles of a part) it belongs to.  *inside is freed by free(). */
+/* Per triangle: whether it faces the middle of the piece (connected triangles of a part) it belongs to.  *inside is freed by
+ * free(). */
 lmg_result lum_find_inside(lum_build *b, bool **inside);
 
-/* recipe_apply.c: whether the recipe leaves a part (or a punctual light) out; then, when all parts are known, materials changed part by
- * part, and those that no part uses removed. */
+/* recipe_apply.c: whether the recipe leaves a part (or a punctual light) out; then, when all parts are known, materials changed
+ * part by part, and those that no part uses removed. */
 bool lum_recipe_leaves_out(lum_build *b, int32_t node, const char *mesh, const char *material);
 bool lum_recipe_darkens(lum_build *b, int32_t node, const char *light);
 lmg_result lum_recipe_apply(lum_build *b);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* From the double positions of the parts to the model's arrays: centre, rounding to float, triangles without area dropped, normals and
- * tangents completed, bounds.  Materials and parts are known. */
+/* From the double positions of the parts to the model's arrays: centre, rounding to float, triangles without area dropped, normals
+ * and tangents completed, bounds.  Materials and parts are known. */
 #include "model_build.h"
 
 #include <float.h>
@@ -43,9 +43,9 @@ static vec corner(const lum_model *m, uint32_t triangle, int k)
     return load(m->positions + 3 * (size_t)m->indices[3 * (size_t)triangle + (size_t)k]);
 }
 
-/* Twice the area times the unit normal of a triangle; zero when it has no area.  The rounded positions decide, since they are what rays
- * meet: their differences are exact in double, so the cross product of two parallel edges is at most 2 eps |e1||e2| off zero in each
- * component, 2 sqrt(3) eps in length; four times eps covers that. */
+/* Twice the area times the unit normal of a triangle; zero when it has no area.  The rounded positions decide, since they are what
+ * rays meet: their differences are exact in double, so the cross product of two parallel edges is at most 2 eps |e1||e2| off zero
+ * in each component, 2 sqrt(3) eps in length; four times eps covers that. */
 static vec area_vector(const lum_model *m, uint32_t triangle)
 {
     vec a = corner(m, triangle, 0), e1 = minus(corner(m, triangle, 1), a), e2 = minus(corner(m, triangle, 2), a);
@@ -126,8 +126,8 @@ static void drop_degenerate(lum_build *b)
 
 /* ----------------------------------------------------------------------------------------------- normals and tangents */
 
-/* Vertices without a usable normal (none in the file, or a zero) get the mean of their triangles' normals, weighted by area; where the
- * file has none at all, every vertex belongs to one triangle and this is flat shading. */
+/* Vertices without a usable normal (none in the file, or a zero) get the mean of their triangles' normals, weighted by area; where
+ * the file has none at all, every vertex belongs to one triangle and this is flat shading. */
 static void complete_normals(lum_model *m, vec *sums)
 {
     for (uint32_t t = 0; t < m->triangle_count; t++) {
@@ -157,8 +157,8 @@ static vec any_perpendicular(vec n)
     return cross(n, axis);
 }
 
-/* Direction in which u grows, times twice the area of the triangle; zero where the texture coordinates have no extent.  The coordinates
- * are those of the normal texture, after its transform.  *handedness: area of the triangle in (u,v), signed. */
+/* Direction in which u grows, times twice the area of the triangle; zero where the texture coordinates have no extent.  The
+ * coordinates are those of the normal texture, after its transform.  *handedness: area of the triangle in (u,v), signed. */
 static vec u_direction(const lum_model *m, uint32_t triangle, const lum_texture *tex, double *handedness)
 {
     const float *uv = m->uv[tex->coordinates];
@@ -182,8 +182,8 @@ static vec u_direction(const lum_model *m, uint32_t triangle, const lum_texture 
     return t;
 }
 
-/* Tangents for parts with a normal map whose file has none: per vertex the area-weighted mean of the direction of growing u over its
- * triangles, made perpendicular to the normal. */
+/* Tangents for parts with a normal map whose file has none: per vertex the area-weighted mean of the direction of growing u over
+ * its triangles, made perpendicular to the normal. */
 static lmg_result complete_tangents(lum_build *b, vec *sums)
 {
     lum_model *m = b->model;
@@ -264,7 +264,8 @@ lmg_result lum_build_finish(lum_build *b)
     b->positions = NULL;
     drop_degenerate(b);
     if (m->triangle_count == 0 && m->light_count == 0)
-        return lmg_fail(b->err, LMG_ERROR_INPUT, "none of its triangles has an area; check the model's unit, or set \"scale\" in a recipe");
+        return lmg_fail(b->err, LMG_ERROR_INPUT,
+                        "none of its triangles has an area; check the model's unit, or set \"scale\" in a recipe");
     vec *sums = calloc((size_t)m->vertex_count + 1, sizeof *sums);
     if (!sums)
         return lmg_fail(b->err, LMG_ERROR_MEMORY, "out of memory");

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* glTF materials, textures and images as lum_material, lum_texture and lum_image.  Images are decoded when a slot that moves light uses
- * them, once as linear values and once with sRGB undone if both are asked for. */
+/* glTF materials, textures and images as lum_material, lum_texture and lum_image.  Images are decoded when a slot that moves light
+ * uses them, once as linear values and once with sRGB undone if both are asked for. */
 #include "model_build.h"
 
 #include <float.h>
@@ -73,13 +73,15 @@ static lmg_result build_texture(lum_build *b, const gltf_texture_use *use, bool 
     const gltf_texture *texture = &b->doc->textures[use->texture];
     if (texture->image < 0)
         return lmg_fail(b->err, LMG_ERROR_UNSUPPORTED,
-                        "textures[%d]: has no PNG or JPEG image (KTX2 and WebP are not supported); export it with one", use->texture);
+                        "textures[%d]: has no PNG or JPEG image (KTX2 and WebP are not supported); export it with one",
+                        use->texture);
     if ((uint32_t)texture->image >= b->file->image_count)
         return lmg_fail(b->err, LMG_ERROR_INPUT, "textures[%d]: its image %d is outside the file's %u images; re-export the model",
                         use->texture, texture->image, b->file->image_count);
     if (use->coordinates > 1)
-        return lmg_fail(b->err, LMG_ERROR_UNSUPPORTED, "textures[%d]: uses texture coordinates TEXCOORD_%d; only 0 and 1 are supported",
-                        use->texture, use->coordinates);
+        return lmg_fail(b->err, LMG_ERROR_UNSUPPORTED,
+                        "textures[%d]: uses texture coordinates TEXCOORD_%d; only 0 and 1 are supported", use->texture,
+                        use->coordinates);
     int32_t *slot = &b->image_slots[2 * texture->image + srgb];
     if (*slot == LUM_NONE)
         LUM_TRY(load_image(b, texture->image, srgb, slot));
@@ -91,9 +93,12 @@ static lmg_result build_texture(lum_build *b, const gltf_texture_use *use, bool 
         out->wrap_t = wrap_mode(sampler->wrap_t);
         out->nearest = sampler->mag_filter == 9728;
     }
-    /* KHR_texture_transform: scale, then rotate, then shift; the rotation is counter-clockwise with v pointing down. */
+    /* KHR_texture_transform: scale, then rotate, then shift.  The sense of the rotation is that of Khronos' TextureTransformTest,
+     * in which a point seen at an angle a in the (u,v) plane shows the texel at the angle a - rotation; the GLSL in the extension's
+     * text turns the other way, which that model marks as the error. */
     double c = cos(use->rotation), s = sin(use->rotation);
-    const double m[2][3] = {{c * use->scale[0], s * use->scale[1], use->offset[0]}, {-s * use->scale[0], c * use->scale[1], use->offset[1]}};
+    const double m[2][3] = {{c * use->scale[0], s * use->scale[1], use->offset[0]},
+                            {-s * use->scale[0], c * use->scale[1], use->offset[1]}};
     for (int i = 0; i < 2; i++)
         for (int j = 0; j < 3; j++)
             out->m[i][j] = (float)m[i][j];
@@ -139,16 +144,16 @@ static lmg_result convert(lum_build *b, const gltf_material *from, uint32_t inde
     for (int i = 0; i < 3; i++) {
         to->emissive[i] = (float)(from->emissive[i] * from->emissive_strength);
         if (!isfinite(to->emissive[i]))
-            return lmg_fail(b->err, LMG_ERROR_INPUT, "material \"%.60s\": its emission of %g cd/m2 is beyond the range of float", to->name,
-                            from->emissive[i] * from->emissive_strength);
+            return lmg_fail(b->err, LMG_ERROR_INPUT, "material \"%.60s\": its emission of %g cd/m2 is beyond the range of float",
+                            to->name, from->emissive[i] * from->emissive_strength);
         emits = emits || to->emissive[i] > 0;
     }
     if (emits)
         LUM_TRY(build_texture(b, &from->emissive_texture, true, &to->emissive_texture));
 
     if (from->has_ior && from->ior < 1)
-        return lmg_fail(b->err, LMG_ERROR_UNSUPPORTED, "material \"%.60s\": ior %g is below 1; give a refractive index from 1 on", to->name,
-                        from->ior);
+        return lmg_fail(b->err, LMG_ERROR_UNSUPPORTED, "material \"%.60s\": ior %g is below 1; give a refractive index from 1 on",
+                        to->name, from->ior);
     to->ior = (float)from->ior;
     to->transmission = (float)from->transmission;
     if (from->transmission > 0)
@@ -156,10 +161,12 @@ static lmg_result convert(lum_build *b, const gltf_material *from, uint32_t inde
     to->diffuse_transmission = (float)from->diffuse_transmission;
     for (int i = 0; i < 3; i++)
         to->diffuse_transmission_color[i] = (float)from->diffuse_transmission_color[i];
-    if (from->diffuse_transmission > 0 && (from->diffuse_transmission_texture.texture >= 0 ||
-                                           from->diffuse_transmission_color_texture.texture >= 0))
-        lum_warn(b, "material \"%.60s\": its diffuse transmission is taken without its texture; recipe entry \"diffuse_transmission\" "
-                    "can set it", to->name);
+    if (from->diffuse_transmission > 0 &&
+        (from->diffuse_transmission_texture.texture >= 0 || from->diffuse_transmission_color_texture.texture >= 0))
+        lum_warn(b,
+                 "material \"%.60s\": its diffuse transmission is taken without its texture; recipe entry \"diffuse_transmission\" "
+                 "can set it",
+                 to->name);
     to->thin = !(from->has_volume && from->thickness > 0);
     if (!to->thin && isfinite(from->attenuation_distance) && from->attenuation_distance > 0)
         for (int i = 0; i < 3; i++)

@@ -21,7 +21,7 @@ typedef struct primitive {
     uint32_t number;          /* of the primitive */
     uint64_t vertices;
     double *position, *normal, *tangent, *uv[2], *color; /* local, NULL if the file has none */
-    uint32_t *corners;        /* 3 per triangle */
+    uint32_t *corners;                                   /* 3 per triangle */
     uint64_t triangles;
 } primitive;
 
@@ -51,9 +51,9 @@ static lmg_result bad(lum_build *b, const primitive *p, const char *text)
     return in_primitive(b, p, "", lmg_fail(b->err, LMG_ERROR_INPUT, "%s", text));
 }
 
-/* Which component types an attribute may have, as a set: f float, b/B byte and unsigned byte, s/S short and unsigned short, small letters
- * and capitals; n = the integer types must be normalised.  The wider sets are those of KHR_mesh_quantization, taken whether it is
- * declared or not. */
+/* Which component types an attribute may have, as a set: f float, b/B byte and unsigned byte, s/S short and unsigned short, small
+ * letters and capitals; n = the integer types must be normalised.  The wider sets are those of KHR_mesh_quantization, taken whether
+ * it is declared or not. */
 static bool type_allowed(const gltf_accessor *a, const char *types)
 {
     static const struct {
@@ -66,19 +66,19 @@ static bool type_allowed(const gltf_accessor *a, const char *types)
     return false;
 }
 
-static lmg_result read_attribute(lum_build *b, primitive *p, int32_t accessor, const char *name, const char *types, int32_t components,
-                                 double **out)
+static lmg_result read_attribute(lum_build *b, primitive *p, int32_t accessor, const char *name, const char *types,
+                                 int32_t components, double **out)
 {
     if (accessor < 0)
         return LMG_OK;
     const gltf_accessor *a = &b->doc->accessors[accessor];
     lmg_result result = LMG_OK;
     if (!type_allowed(a, types))
-        result = lmg_fail(b->err, LMG_ERROR_INPUT, "component type %d%s is not allowed there; re-export the mesh", a->component_type,
-                          a->normalized ? " (normalised)" : "");
+        result = lmg_fail(b->err, LMG_ERROR_INPUT, "component type %d%s is not allowed there; re-export the mesh",
+                          a->component_type, a->normalized ? " (normalised)" : "");
     else if (p->vertices && a->count != p->vertices)
-        result = lmg_fail(b->err, LMG_ERROR_INPUT, "has %llu elements for %llu vertices; re-export the mesh", (unsigned long long)a->count,
-                          (unsigned long long)p->vertices);
+        result = lmg_fail(b->err, LMG_ERROR_INPUT, "has %llu elements for %llu vertices; re-export the mesh",
+                          (unsigned long long)a->count, (unsigned long long)p->vertices);
     else
         result = gltf_read_numbers(b->doc, accessor, components, out, b->err);
     return in_primitive(b, p, name, result);
@@ -152,8 +152,8 @@ static lmg_result read_vertices(lum_build *b, primitive *p, const gltf_node *nod
     return check_finite(b, p, p->color, 4, "COLOR_0");
 }
 
-/* The corners of all triangles, whatever the topology.  Strips turn every second triangle round; fans start where glTF says: triangle i
- * is (i+1, i+2, 0). */
+/* The corners of all triangles, whatever the topology.  Strips turn every second triangle round; fans start where glTF says:
+ * triangle i is (i+1, i+2, 0). */
 static lmg_result read_corners(lum_build *b, primitive *p)
 {
     uint32_t *indices = NULL;
@@ -166,8 +166,8 @@ static lmg_result read_corners(lum_build *b, primitive *p)
     for (uint64_t i = 0; indices && i < n; i++)
         if (indices[i] >= p->vertices) {
             result = in_primitive(b, p, "",
-                                  lmg_fail(b->err, LMG_ERROR_INPUT, "index %u is outside its %llu vertices; re-export the mesh", indices[i],
-                                           (unsigned long long)p->vertices));
+                                  lmg_fail(b->err, LMG_ERROR_INPUT, "index %u is outside its %llu vertices; re-export the mesh",
+                                           indices[i], (unsigned long long)p->vertices));
             goto cleanup;
         }
     p->triangles = p->from->mode == TRIANGLES ? n / 3 : n < 3 ? 0 : n - 2;
@@ -176,8 +176,8 @@ static lmg_result read_corners(lum_build *b, primitive *p)
         goto cleanup;
     }
     if (p->from->mode == TRIANGLES && n % 3)
-        lum_warn(b, "mesh \"%.60s\" primitive %u: %llu indices are no whole triangles; the last %llu are left out", p->name, p->number,
-                 (unsigned long long)n, (unsigned long long)(n % 3));
+        lum_warn(b, "mesh \"%.60s\" primitive %u: %llu indices are no whole triangles; the last %llu are left out", p->name,
+                 p->number, (unsigned long long)n, (unsigned long long)(n % 3));
     p->corners = malloc((p->triangles * 3 + 1) * sizeof *p->corners);
     if (!p->corners) {
         result = lmg_fail(b->err, LMG_ERROR_MEMORY, "out of memory");
@@ -266,8 +266,8 @@ static lmg_result reserve(lum_build *b, const primitive *p)
     return LMG_OK;
 }
 
-/* Appends an attribute of this primitive to the model's array of it, which begins to exist with the first primitive that has it; vertices
- * without it get `fill`. */
+/* Appends an attribute of this primitive to the model's array of it, which begins to exist with the first primitive that has it;
+ * vertices without it get `fill`. */
 static lmg_result append(lum_build *b, const primitive *p, const double *values, size_t size, float fill, float **array)
 {
     size_t before = b->model->vertex_count * size, n = p->vertices * size;
@@ -324,10 +324,11 @@ static lmg_result append_vertices(lum_build *b, primitive *p, const lum_affine *
         for (int i = 0; i < 3; i++) {
             to[3 * v + (uint64_t)i] = a->m[i][0] * x[0] + a->m[i][1] * x[1] + a->m[i][2] * x[2] + a->m[i][3];
             if (!(fabs(to[3 * v + (uint64_t)i]) <= MAX_COORDINATE))
-                return in_primitive(b, p, "",
-                                    lmg_fail(b->err, LMG_ERROR_INPUT,
-                                             "vertex %llu lies %.2g m from the origin; check the model's unit, or set \"scale\" in a recipe",
-                                             (unsigned long long)v, fabs(to[3 * v + (uint64_t)i])));
+                return in_primitive(
+                    b, p, "",
+                    lmg_fail(b->err, LMG_ERROR_INPUT,
+                             "vertex %llu lies %.2g m from the origin; check the model's unit, or set \"scale\" in a recipe",
+                             (unsigned long long)v, fabs(to[3 * v + (uint64_t)i])));
         }
         double turned[3] = {0, 0, 0};
         if (p->normal)

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Walks the scene's nodes: their transforms, meshes, instances, lights and cameras.  Without recursion, so that no file is too deep. */
+/* Walks the scene's nodes: their transforms, meshes, instances, lights and cameras.  Without recursion, so that no file is too
+ * deep. */
 #include "gltf_accessor.h"
 #include "model_build.h"
 
@@ -58,7 +59,8 @@ static lmg_result local_transform(lum_build *b, const gltf_node *node, const cha
     if (node->has_matrix) {
         const double *m = node->matrix; /* column by column */
         if (m[3] != 0 || m[7] != 0 || m[11] != 0 || m[15] != 1)
-            return lmg_fail(b->err, LMG_ERROR_INPUT, "node \"%.60s\": the last row of its matrix is not 0 0 0 1; re-export the model", name);
+            return lmg_fail(b->err, LMG_ERROR_INPUT,
+                            "node \"%.60s\": the last row of its matrix is not 0 0 0 1; re-export the model", name);
         for (int i = 0; i < 3; i++)
             for (int j = 0; j < 4; j++)
                 out->m[i][j] = m[4 * j + i];
@@ -97,8 +99,8 @@ static lmg_result add_light(lum_build *b, int32_t index, const char *node_name, 
             return lmg_fail(b->err, LMG_ERROR_INPUT, "light \"%.60s\": its intensity is beyond the range of float", to->name);
     }
     if (from->kind == 1 && !(from->inner < from->outer))
-        return lmg_fail(b->err, LMG_ERROR_INPUT, "light \"%.60s\": innerConeAngle %g is not below outerConeAngle %g", to->name, from->inner,
-                        from->outer);
+        return lmg_fail(b->err, LMG_ERROR_INPUT, "light \"%.60s\": innerConeAngle %g is not below outerConeAngle %g", to->name,
+                        from->inner, from->outer);
     to->cos_inner = cos(from->inner);
     to->cos_outer = cos(from->outer);
     return LMG_OK;
@@ -139,7 +141,8 @@ static lmg_result add_instances(lum_build *b, int32_t index, const char *name, c
             continue;
         uint64_t n = b->doc->accessors[accessors[i]].count;
         if (count && n != count)
-            result = lmg_fail(b->err, LMG_ERROR_INPUT, "has %llu and %llu instances", (unsigned long long)count, (unsigned long long)n);
+            result =
+                lmg_fail(b->err, LMG_ERROR_INPUT, "has %llu and %llu instances", (unsigned long long)count, (unsigned long long)n);
         else
             result = gltf_read_numbers(b->doc, accessors[i], components[i], &values[i], b->err);
         count = n;
@@ -155,8 +158,10 @@ static lmg_result add_instances(lum_build *b, int32_t index, const char *name, c
                                     values[2] ? values[2] + 3 * i : one);
         lum_affine world = multiply(a, &local);
         if (!is_finite(&world))
-            result = lmg_fail(b->err, LMG_ERROR_INPUT, "node \"%.60s\": instance %llu has a transform that is not finite; re-export the "
-                                                       "model", name, (unsigned long long)i);
+            result = lmg_fail(b->err, LMG_ERROR_INPUT,
+                              "node \"%.60s\": instance %llu has a transform that is not finite; re-export the "
+                              "model",
+                              name, (unsigned long long)i);
         else
             result = add_mesh(b, index, node->mesh, &world);
     }
@@ -197,10 +202,10 @@ typedef struct stack {
     size_t count, capacity;
 } stack;
 
-/* Puts nodes on the stack, last one first, so that they are visited in the file's order.  A node that has been met before is part of a
- * cycle or has two parents; glTF allows neither. */
-static lmg_result push(lum_build *b, stack *s, const int32_t *nodes, uint32_t count, int32_t parent, uint32_t depth, const lum_affine *a,
-                       bool *met)
+/* Puts nodes on the stack, last one first, so that they are visited in the file's order.  A node that has been met before is part
+ * of a cycle or has two parents; glTF allows neither. */
+static lmg_result push(lum_build *b, stack *s, const int32_t *nodes, uint32_t count, int32_t parent, uint32_t depth,
+                       const lum_affine *a, bool *met)
 {
     if (depth > LUM_MAX_DEPTH)
         return lmg_fail(b->err, LMG_ERROR_INPUT, "its nodes are nested deeper than %d; flatten the hierarchy", LUM_MAX_DEPTH);
@@ -212,7 +217,8 @@ static lmg_result push(lum_build *b, stack *s, const int32_t *nodes, uint32_t co
         char name[LUM_NAME_SIZE];
         lum_copy_name(name, b->doc->nodes[nodes[i]].name, "node", (uint32_t)nodes[i]);
         if (met[nodes[i]])
-            return lmg_fail(b->err, LMG_ERROR_INPUT, "node \"%.60s\" is its own ancestor or has two parents; re-export the model", name);
+            return lmg_fail(b->err, LMG_ERROR_INPUT, "node \"%.60s\" is its own ancestor or has two parents; re-export the model",
+                            name);
         met[nodes[i]] = true;
         b->node_parent[nodes[i]] = parent;
         s->items[s->count++] = (waiting){nodes[i], depth, *a};
@@ -286,7 +292,8 @@ lmg_result lum_build_scene(lum_build *b)
     free(s.items);
     free(met);
     if (!result && b->model->triangle_count == 0 && b->model->light_count == 0)
-        result = lmg_fail(b->err, LMG_ERROR_INPUT, "its scene has no triangles and no lights; export the model with its meshes in the "
-                                                   "default scene");
+        result = lmg_fail(b->err, LMG_ERROR_INPUT,
+                          "its scene has no triangles and no lights; export the model with its meshes in the "
+                          "default scene");
     return result;
 }

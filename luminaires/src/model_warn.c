@@ -7,8 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Plausible ranges of luminaires.  Size: from a chip to a street lamp's pole; luminance: from a dim exit sign to the sun; flux: from an
- * indicator to a stadium light. */
+/* Plausible ranges of luminaires.  Size: from a chip to a street lamp's pole; luminance: from a dim exit sign to the sun; flux:
+ * from an indicator to a stadium light. */
 #define MIN_SIZE_M 1e-3
 #define MAX_SIZE_M 10.0
 #define MIN_LUMINANCE 100.0
@@ -38,7 +38,8 @@ static bool contains_ignoring_case(const char *name, const char *word)
     return false;
 }
 
-/* Names that say light, in the languages of common model libraries: first of light sources themselves, then of anything near them. */
+/* Names that say light, in the languages of common model libraries: first of light sources themselves, then of anything near them.
+ */
 static const char *const luminous[2][9] = {
     {"bulb", "led", "filament", "tube", "emit", "fluor", "flame", "bombeta", "glow"},
     {"lamp", "light", "neon", "candle", "luz", "leucht", "ampoule", "lumi", "lens"},
@@ -61,9 +62,11 @@ static void warn_no_emitter(lum_build *b)
     for (int rank = 0; rank < 2 && count == 0; rank++)
         for (uint32_t i = 0; i < m->material_count && count < 4; i++)
             if (sounds_luminous(m->materials[i].name, rank))
-                used += (size_t)snprintf(names + used, sizeof names - used, "%s\"%.50s\"", count++ ? ", " : "", m->materials[i].name);
+                used +=
+                    (size_t)snprintf(names + used, sizeof names - used, "%s\"%.50s\"", count++ ? ", " : "", m->materials[i].name);
     if (count)
-        lum_warn(b, "nothing in it emits light. Recipe entry \"emitter\" can make one of its materials shine; by their names: %s", names);
+        lum_warn(b, "nothing in it emits light. Recipe entry \"emitter\" can make one of its materials shine; by their names: %s",
+                 names);
     else
         lum_warn(b, "nothing in it emits light. Recipe entry \"emitter\" can make one of its materials or meshes shine");
 }
@@ -115,17 +118,23 @@ static void warn_emitters(lum_build *b, const double *area)
             continue;
         bool painted = material->emissive_texture.image != LUM_NONE && (lights || brightest >= luminance);
         if (painted)
-            lum_warn(b, "material \"%.60s\" has an emission picture beside real emitters: if it is the painted-on look of a lit lamp, its light "
-                        "counts twice. Recipe entry \"no_emission\" ignores it", material->name);
+            lum_warn(b,
+                     "material \"%.60s\" has an emission picture beside real emitters: if it is the painted-on look of a lit lamp, "
+                     "its light "
+                     "counts twice. Recipe entry \"no_emission\" ignores it",
+                     material->name);
         else if (luminance < MIN_LUMINANCE || luminance > MAX_LUMINANCE)
-            lum_warn(b, "material \"%.60s\" emits %.3g cd/m2, outside the %g .. %.0e of lamps. Recipe entry \"emitter\" with \"lumens\" can set "
-                        "it, or --flux scales the whole lamp", material->name, luminance, MIN_LUMINANCE, MAX_LUMINANCE);
+            lum_warn(b,
+                     "material \"%.60s\" emits %.3g cd/m2, outside the %g .. %.0e of lamps. Recipe entry \"emitter\" with "
+                     "\"lumens\" can set "
+                     "it, or --flux scales the whole lamp",
+                     material->name, luminance, MIN_LUMINANCE, MAX_LUMINANCE);
     }
     bool textured;
     double flux = total_flux(m, area, &textured);
     if (flux > MAX_FLUX_LM || (flux < MIN_FLUX_LM && flux > 0 && !textured))
-        lum_warn(b, "its emitters give %.3g lm in all, outside the %g .. %.0e of lamps. Recipe key \"flux\" sets the rated lumens", flux,
-                 MIN_FLUX_LM, MAX_FLUX_LM);
+        lum_warn(b, "its emitters give %.3g lm in all, outside the %g .. %.0e of lamps. Recipe key \"flux\" sets the rated lumens",
+                 flux, MIN_FLUX_LM, MAX_FLUX_LM);
 }
 
 static void warn_size(lum_build *b)
@@ -134,8 +143,11 @@ static void warn_size(lum_build *b)
     double x = m->bounds_max.x - m->bounds_min.x, y = m->bounds_max.y - m->bounds_min.y, z = m->bounds_max.z - m->bounds_min.z;
     double size = fmax(fmax(x, y), z);
     if (m->triangle_count > 0 && (size < MIN_SIZE_M || size > MAX_SIZE_M))
-        lum_warn(b, "it is %.3g m large (%.3g x %.3g x %.3g), which is unlikely for a luminaire: glTF is in metres. Recipe key \"scale\" "
-                    "(0.001 for a model in millimetres) sets the unit", size, x, y, z);
+        lum_warn(
+            b,
+            "it is %.3g m large (%.3g x %.3g x %.3g), which is unlikely for a luminaire: glTF is in metres. Recipe key \"scale\" "
+            "(0.001 for a model in millimetres) sets the unit",
+            size, x, y, z);
 }
 
 /* Materials that let light through: openness, and transparency that only blends. */
@@ -152,19 +164,25 @@ static void warn_transparency(lum_build *b)
             continue;
         bool solid = material->kind == LUM_SURFACE_PBR && material->transmission > 0 && !material->thin;
         if (solid && part->boundary_edges > 0) {
-            lum_warn(b, "mesh \"%.60s\" (material \"%.60s\") transmits light and is open (%u boundary edges), but is taken as the surface of "
-                        "solid glass. If it is a wall drawn as one sheet: recipe entry \"thin\"",
+            lum_warn(b,
+                     "mesh \"%.60s\" (material \"%.60s\") transmits light and is open (%u boundary edges), but is taken as the "
+                     "surface of "
+                     "solid glass. If it is a wall drawn as one sheet: recipe entry \"thin\"",
                      part->mesh, material->name, part->boundary_edges);
             said[part->material] = true;
         } else if (solid && part->enclosed_volume < 0) {
-            lum_warn(b, "mesh \"%.60s\" (material \"%.60s\") is a solid that transmits light, but its faces look inward: glass and air are "
-                        "exchanged. Turn its faces round in the model, or recipe entry \"thin\"",
-                     part->mesh, material->name);
+            lum_warn(
+                b,
+                "mesh \"%.60s\" (material \"%.60s\") is a solid that transmits light, but its faces look inward: glass and air are "
+                "exchanged. Turn its faces round in the model, or recipe entry \"thin\"",
+                part->mesh, material->name);
             said[part->material] = true;
-        } else if (material->alpha_mode == LUM_ALPHA_BLEND && material->base_color[3] < 0.5f && material->base_texture.image == LUM_NONE &&
-                   material->kind == LUM_SURFACE_PBR && material->transmission == 0) {
-            lum_warn(b, "material \"%.60s\" is transparent by blending (alpha %.2g): it neither reflects nor refracts what it lets through. If "
-                        "it is glass: recipe entry \"glass\"",
+        } else if (material->alpha_mode == LUM_ALPHA_BLEND && material->base_color[3] < 0.5f &&
+                   material->base_texture.image == LUM_NONE && material->kind == LUM_SURFACE_PBR && material->transmission == 0) {
+            lum_warn(b,
+                     "material \"%.60s\" is transparent by blending (alpha %.2g): it neither reflects nor refracts what it lets "
+                     "through. If "
+                     "it is glass: recipe entry \"glass\"",
                      material->name, (double)material->base_color[3]);
             said[part->material] = true;
         }
@@ -192,8 +210,10 @@ static void warn_inward_emitters(lum_build *b)
         bool inward = part->enclosed_volume < -1e-3 * round_volume, doubled = fabs(part->enclosed_volume) <= 1e-3 * round_volume;
         if (split || !(inward || doubled))
             continue;
-        lum_warn(b, "mesh \"%.60s\" (material \"%.60s\") emits light, and %s. Recipe entry \"emitter\" with \"sides\": \"outside\" lets only its "
-                    "outside shine",
+        lum_warn(b,
+                 "mesh \"%.60s\" (material \"%.60s\") emits light, and %s. Recipe entry \"emitter\" with \"sides\": \"outside\" "
+                 "lets only its "
+                 "outside shine",
                  part->mesh, material->name,
                  inward ? "its faces look inward" : "its faces are doubled, back to back: half of the light goes inside");
         said[part->material] = true;

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Reading recipes: JSON (docs/recipe.md) and command-line shorthands, which are turned into the same JSON so that there is one set of
- * rules.  Every key is known or an error; messages give the key's path.  Relies on jansson, and on gltf_file.c for reading files.
+ * Reading recipes: JSON (docs/recipe.md) and command-line shorthands, which are turned into the same JSON so that there is one set
+ * of rules.  Every key is known or an error; messages give the key's path.  Relies on jansson, and on gltf_file.c for reading
+ * files.
  */
 #include "recipe.h"
 #include "colour.h"
@@ -170,8 +171,7 @@ static void check_rest(reader *r)
     json_t *value;
     if (r->result)
         return;
-    json_object_foreach (r->object, key, value)
-        fail(r, "", "unknown key \"%.60s\"; see docs/recipe.md", key);
+    json_object_foreach(r->object, key, value) fail(r, "", "unknown key \"%.60s\"; see docs/recipe.md", key);
 }
 
 static void close_object(reader *r, reader *inner)
@@ -346,7 +346,8 @@ static void read_entry_keys(reader *r, lum_recipe_entry *e)
     if (e->emitter && e->no_emission)
         fail(r, "no_emission", "contradicts \"emitter\"");
     check_rest(r); /* before complaining that it says nothing: a misspelt key is why */
-    if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && e->ior == 0 && e->finish == LUM_FINISH_NONE)
+    if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && e->ior == 0 &&
+        e->finish == LUM_FINISH_NONE)
         fail(r, "", "says nothing about \"%.60s\"", e->match);
 }
 
@@ -558,11 +559,12 @@ static json_t *shorthand_entry(const struct shorthand *s, const char *name_and_v
 
 static lmg_result bad_shorthand(const char *text, lmg_error *err)
 {
-    return lmg_fail(err, LMG_ERROR_ARGUMENT,
-                    "recipe shorthand \"%.80s\" is not understood; examples: emitter:Bulb=800lm,2700K  emitter:Tube=9500cd/m2  thin:Glass  "
-                    "solid:Lens  no-emission:Shade  mirror:Reflector=0.9,0.1  conductor:Rim=aluminium  diffuse:Casing=0.8  glass:Lens=1.5  "
-                    "diffuse-transmission:Globe=0.4,0.5  black:Socket  leave-out:Pole  scale=0.001  flux=800lm",
-                    text);
+    return lmg_fail(
+        err, LMG_ERROR_ARGUMENT,
+        "recipe shorthand \"%.80s\" is not understood; examples: emitter:Bulb=800lm,2700K  emitter:Tube=9500cd/m2  thin:Glass  "
+        "solid:Lens  no-emission:Shade  mirror:Reflector=0.9,0.1  conductor:Rim=aluminium  diffuse:Casing=0.8  glass:Lens=1.5  "
+        "diffuse-transmission:Globe=0.4,0.5  black:Socket  leave-out:Pole  scale=0.001  flux=800lm",
+        text);
 }
 
 lmg_result lum_recipe_add(lum_recipe *recipe, const char *shorthand, lmg_error *err)

@@ -26,11 +26,11 @@ typedef struct lum_recipe_entry {
     lum_target target;
     bool leave_out, no_emission;
     bool emitter;
-    double lumens, luminance;  /* one of them > 0 */
-    double color[3];           /* luminance 1 */
+    double lumens, luminance; /* one of them > 0 */
+    double color[3];          /* luminance 1 */
     lum_sides sides;
     bool has_thin, thin;
-    double ior;                /* 0 = not given */
+    double ior; /* 0 = not given */
     lum_finish finish;
     float reflectance[3], transmittance[3], roughness, eta[3], k[3], absorption[3];
 } lum_recipe_entry;

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * A recipe on a model.  An entry matches a part by the name of its material or mesh, of its node, or of any node above.  Parts that share
- * a material but match different entries get a copy of the material each.  Later entries win.
+ * A recipe on a model.  An entry matches a part by the name of its material or mesh, of its node, or of any node above.  Parts that
+ * share a material but match different entries get a copy of the material each.  Later entries win.
  */
 #include "recipe.h"
 #include "colour.h"
@@ -115,7 +115,8 @@ static lmg_result check_all_matched(lum_build *b)
         size_t used = 0;
         for (int k = 0; k < 3 && n.name[k]; k++)
             used += (size_t)snprintf(names + used, sizeof names - used, "%s\"%.60s\"", k ? ", " : "; close names: ", n.name[k]);
-        return lmg_fail(b->err, LMG_ERROR_INPUT, "recipe %s: nothing in the scene is called \"%.60s\"%s", e->where, e->match, names);
+        return lmg_fail(b->err, LMG_ERROR_INPUT, "recipe %s: nothing in the scene is called \"%.60s\"%s", e->where, e->match,
+                        names);
     }
     return LMG_OK;
 }
@@ -150,8 +151,8 @@ static float largest(const float rgb[3])
     return fmaxf(fmaxf(rgb[0], rgb[1]), rgb[2]);
 }
 
-/* A layer that reflects r and transmits t diffusely.  In glTF's terms: a share d of the light goes through and takes the transmission
- * colour, the rest comes back with the base colour; with an index of 1 there is no interface before it. */
+/* A layer that reflects r and transmits t diffusely.  In glTF's terms: a share d of the light goes through and takes the
+ * transmission colour, the rest comes back with the base colour; with an index of 1 there is no interface before it. */
 static void set_diffuse_transmission(lum_material *m, const lum_recipe_entry *e)
 {
     float r = largest(e->reflectance), t = largest(e->transmittance), d = t > 0 ? t / (r + t) : 0;
@@ -286,8 +287,8 @@ static lmg_result find_variant(applying *a, uint32_t p)
         if (e->emitter || e->no_emission)
             v.emitter = e->emitter ? (int32_t)i : -1;
         if (e->has_thin && changed.transmission == 0 && e->finish == LUM_FINISH_NONE)
-            lum_warn(b, "recipe %s: \"thin\" changes nothing on material \"%.60s\", which lets no light through; \"glass\" would", e->where,
-                     base->name);
+            lum_warn(b, "recipe %s: \"thin\" changes nothing on material \"%.60s\", which lets no light through; \"glass\" would",
+                     e->where, base->name);
     }
     LUM_TRY(add_material(a, &changed, &v.material));
     if (v.emitter >= 0 && b->recipe->entries[v.emitter].sides == LUM_SIDES_OUTSIDE)
@@ -325,13 +326,14 @@ static lmg_result light_up(applying *a)
         double area = a->emitting[v->emitter];
         if (!(area > 0))
             return lmg_fail(a->b->err, LMG_ERROR_INPUT,
-                            "recipe %s: no face of \"%.60s\" looks outside; give its emitter \"sides\": \"both\"", e->where, e->match);
+                            "recipe %s: no face of \"%.60s\" looks outside; give its emitter \"sides\": \"both\"", e->where,
+                            e->match);
         double luminance = e->lumens > 0 ? e->lumens / (pi * area) : e->luminance;
         for (int k = 0; k < 3; k++) {
             a->materials[v->material].emissive[k] = (float)(luminance * e->color[k]);
             if (!isfinite(a->materials[v->material].emissive[k]))
-                return lmg_fail(a->b->err, LMG_ERROR_INPUT, "recipe %s: %g cd/m2 is beyond the range of float; check the emitter's area",
-                                e->where, luminance);
+                return lmg_fail(a->b->err, LMG_ERROR_INPUT,
+                                "recipe %s: %g cd/m2 is beyond the range of float; check the emitter's area", e->where, luminance);
         }
     }
     return LMG_OK;

@@ -18,12 +18,27 @@ static bool is_continuation(char c)
     return ((unsigned char)c & 0xc0) == 0x80;
 }
 
-/* Control characters would break messages into lines; 0x7f is DEL. */
-static void make_one_line(char *s)
+/* Length of the UTF-8 character at s, 0 if it isn't one (cut off, overlong lead byte, stray continuation). */
+static size_t character(const char *s)
 {
-    for (; *s; s++)
-        if ((unsigned char)*s < 0x20 || *s == 0x7f)
-            *s = '?';
+    unsigned char c = (unsigned char)*s;
+    size_t n = c < 0x80 ? 1 : c >= 0xc2 && c < 0xe0 ? 2 : c >= 0xe0 && c < 0xf0 ? 3 : c >= 0xf0 && c < 0xf5 ? 4 : 0;
+    for (size_t i = 1; i < n; i++)
+        if (!is_continuation(s[i]))
+            return 0;
+    return n;
+}
+
+void lum_make_one_line(char *s)
+{
+    while (*s) {
+        size_t n = character(s);
+        if (n == 0 || (unsigned char)*s < 0x20 || *s == 0x7f) { /* 0x7f is DEL */
+            *s++ = '?';
+        } else {
+            s += n;
+        }
+    }
 }
 
 void lum_copy_name(char out[LUM_NAME_SIZE], const char *name, const char *kind, uint32_t index)
@@ -40,7 +55,7 @@ void lum_copy_name(char out[LUM_NAME_SIZE], const char *name, const char *kind, 
     }
     memcpy(out, name, n);
     out[n] = 0;
-    make_one_line(out);
+    lum_make_one_line(out);
 }
 
 const char *lum_base_name(const char *path)
@@ -57,7 +72,7 @@ void lum_prefix_error(lmg_error *err, const char *prefix)
     snprintf(text, sizeof text, "%.160s: %s", prefix, err->message);
     memcpy(err->message, text, sizeof err->message);
     err->message[sizeof err->message - 1] = 0;
-    make_one_line(err->message);
+    lum_make_one_line(err->message);
 }
 
 bool lum_match(const char *pattern, const char *name)
@@ -96,7 +111,8 @@ static uint32_t min3(uint32_t a, uint32_t b, uint32_t c)
 
 uint32_t lum_edit_distance(const char *a, const char *b)
 {
-    /* Levenshtein's table, one row at a time.  Names are shorter than LUM_NAME_SIZE; longer patterns are compared by their start. */
+    /* Levenshtein's table, one row at a time.  Names are shorter than LUM_NAME_SIZE; longer patterns are compared by their start.
+     */
     uint32_t row[LUM_NAME_SIZE];
     size_t n = strnlen(b, LUM_NAME_SIZE - 1);
     for (size_t j = 0; j <= n; j++)

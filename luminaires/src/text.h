@@ -6,11 +6,11 @@
 #include <luminaires/model.h>
 
 /* Returns a failure of expr to the caller. */
-#define LUM_TRY(expr)                                                                                                                  \
-    do {                                                                                                                               \
-        lmg_result lum_try_result = (expr);                                                                                            \
-        if (lum_try_result)                                                                                                            \
-            return lum_try_result;                                                                                                     \
+#define LUM_TRY(expr)                                                                                                              \
+    do {                                                                                                                           \
+        lmg_result lum_try_result = (expr);                                                                                        \
+        if (lum_try_result)                                                                                                        \
+            return lum_try_result;                                                                                                 \
     } while (0)
 
 /* FNV-1a 64 over bytes, continued from hash. */
@@ -23,6 +23,9 @@ void lum_copy_name(char out[LUM_NAME_SIZE], const char *name, const char *kind, 
 
 /* The last part of a path. */
 const char *lum_base_name(const char *path);
+
+/* Replaces control characters, which would break messages into lines, and bytes that aren't UTF-8 (names cut to size) by '?'. */
+void lum_make_one_line(char *s);
 
 /* Puts "prefix: " before err's message and makes sure that the whole is one line. */
 void lum_prefix_error(lmg_error *err, const char *prefix);

@@ -23,7 +23,8 @@ unsigned char *gltf_png(const unsigned char *rgba, unsigned width, unsigned heig
 /* A GLB of JSON and a binary part (may be NULL); allocated. */
 unsigned char *gltf_glb(const char *json, const void *bin, size_t bin_size, size_t *size);
 
-/* Writes json as file and loads it; fails the test when that fails.  gltf_refuse returns the message when it fails, as it should. */
+/* Writes json as file and loads it; fails the test when that fails.  gltf_refuse returns the message when it fails, as it should.
+ */
 lum_model *gltf_load(const char *file, const char *json, const lum_recipe *recipe);
 const char *gltf_refuse(const char *file, const char *json, const lum_recipe *recipe, lmg_result expected);
 

@@ -74,11 +74,11 @@ static void topologies(void **state)
                 memcpy(data + 12 * i, square[types[k] ? i % 4 : cases[c].order[i]], 12);
                 data[72 + size * i] = cases[c].order[i]; /* little-endian whatever the size */
             }
-            char *accessors = gltf_text(
-                "\"bufferViews\":[{\"buffer\":0,\"byteLength\":72},{\"buffer\":0,\"byteOffset\":72,\"byteLength\":24}],"
-                "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":%d,\"type\":\"VEC3\"},"
-                "{\"bufferView\":1,\"componentType\":%d,\"count\":%d,\"type\":\"SCALAR\"}]",
-                types[k] ? 4 : n, types[k] ? types[k] : 5121, n);
+            char *accessors =
+                gltf_text("\"bufferViews\":[{\"buffer\":0,\"byteLength\":72},{\"buffer\":0,\"byteOffset\":72,\"byteLength\":24}],"
+                          "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":%d,\"type\":\"VEC3\"},"
+                          "{\"bufferView\":1,\"componentType\":%d,\"count\":%d,\"type\":\"SCALAR\"}]",
+                          types[k] ? 4 : n, types[k] ? types[k] : 5121, n);
             char *rest = gltf_text("\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0},%s\"mode\":%d}]}]," ONE_NODE,
                                    types[k] ? "\"indices\":1," : "", cases[c].mode);
             char *text = document(data, sizeof data, accessors, rest);
@@ -109,9 +109,9 @@ static void topologies(void **state)
 static const float tetrahedron[4][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
 static const unsigned short tetrahedron_indices[12] = {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3};
 
-#define TETRAHEDRON                                                                                                                    \
-    "\"bufferViews\":[{\"buffer\":0,\"byteLength\":48},{\"buffer\":0,\"byteOffset\":48,\"byteLength\":24}],"                           \
-    "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":4,\"type\":\"VEC3\"},"                                          \
+#define TETRAHEDRON                                                                                                                \
+    "\"bufferViews\":[{\"buffer\":0,\"byteLength\":48},{\"buffer\":0,\"byteOffset\":48,\"byteLength\":24}],"                       \
+    "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":4,\"type\":\"VEC3\"},"                                      \
     "{\"bufferView\":1,\"componentType\":5123,\"count\":12,\"type\":\"SCALAR\"}]"
 #define TETRAHEDRON_MESH "\"meshes\":[{\"name\":\"T\",\"primitives\":[{\"attributes\":{\"POSITION\":0},\"indices\":1}]}]"
 
@@ -174,8 +174,9 @@ static void mirroring(void **state)
 static void transforms(void **state)
 {
     (void)state;
-    lum_model *m = load_tetrahedron("\"scene\":0,\"scenes\":[{\"nodes\":[1]}],\"nodes\":[{\"mesh\":0,\"scale\":[2,1,1]},"
-                                    "{\"children\":[0],\"translation\":[40000.1,0,-7],\"rotation\":[0,0,0.70710678118654757,0.70710678118654757]}]");
+    lum_model *m = load_tetrahedron(
+        "\"scene\":0,\"scenes\":[{\"nodes\":[1]}],\"nodes\":[{\"mesh\":0,\"scale\":[2,1,1]},"
+        "{\"children\":[0],\"translation\":[40000.1,0,-7],\"rotation\":[0,0,0.70710678118654757,0.70710678118654757]}]");
     /* Local x (2 long) goes to +y, local y to -x. */
     assert_close(m->centre.x, 40000.1 - 0.5, 1e-10);
     assert_close(m->centre.y, 1, 1e-15);
@@ -189,10 +190,12 @@ static void transforms(void **state)
 static void scenes(void **state)
 {
     (void)state;
-    lum_model *m = load_tetrahedron("\"scenes\":[{\"nodes\":[1]},{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0},{\"mesh\":0,\"translation\":[5,0,0]}]");
+    lum_model *m = load_tetrahedron(
+        "\"scenes\":[{\"nodes\":[1]},{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0},{\"mesh\":0,\"translation\":[5,0,0]}]");
     assert_close(m->centre.x, 5.5, rounding);
     lum_model_destroy(m);
-    m = load_tetrahedron("\"scene\":1,\"scenes\":[{\"nodes\":[1]},{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0},{\"mesh\":0,\"translation\":[5,0,0]}]");
+    m = load_tetrahedron(
+        "\"scene\":1,\"scenes\":[{\"nodes\":[1]},{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0},{\"mesh\":0,\"translation\":[5,0,0]}]");
     assert_close(m->centre.x, 0.5, rounding);
     lum_model_destroy(m);
     m = load_tetrahedron("\"nodes\":[{\"mesh\":0},{\"mesh\":0,\"translation\":[5,0,0]}]");
@@ -257,15 +260,18 @@ static void quantized(void **state)
         unsigned short x[3];
         unsigned short gap;
         signed char n[4];
-    } data[4] = {{{0, 0, 0}, 9, {0, 0, 127, 0}}, {{1000, 0, 0}, 9, {0, 0, 127, 0}}, {{1000, 500, 0}, 9, {0, 0, 127, 0}},
+    } data[4] = {{{0, 0, 0}, 9, {0, 0, 127, 0}},
+                 {{1000, 0, 0}, 9, {0, 0, 127, 0}},
+                 {{1000, 500, 0}, 9, {0, 0, 127, 0}},
                  {{0, 500, 0}, 9, {0, 0, 127, 0}}};
-    char *text = document(data, sizeof data,
-                          "\"extensionsUsed\":[\"KHR_mesh_quantization\"],\"extensionsRequired\":[\"KHR_mesh_quantization\"],"
-                          "\"bufferViews\":[{\"buffer\":0,\"byteLength\":48,\"byteStride\":12}],"
-                          "\"accessors\":[{\"bufferView\":0,\"componentType\":5123,\"count\":4,\"type\":\"VEC3\"},"
-                          "{\"bufferView\":0,\"byteOffset\":8,\"componentType\":5120,\"normalized\":true,\"count\":4,\"type\":\"VEC3\"}]",
-                          "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0,\"NORMAL\":1},\"mode\":6}]}],"
-                          "\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"scale\":[0.001,0.001,0.001]}]");
+    char *text =
+        document(data, sizeof data,
+                 "\"extensionsUsed\":[\"KHR_mesh_quantization\"],\"extensionsRequired\":[\"KHR_mesh_quantization\"],"
+                 "\"bufferViews\":[{\"buffer\":0,\"byteLength\":48,\"byteStride\":12}],"
+                 "\"accessors\":[{\"bufferView\":0,\"componentType\":5123,\"count\":4,\"type\":\"VEC3\"},"
+                 "{\"bufferView\":0,\"byteOffset\":8,\"componentType\":5120,\"normalized\":true,\"count\":4,\"type\":\"VEC3\"}]",
+                 "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0,\"NORMAL\":1},\"mode\":6}]}],"
+                 "\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"scale\":[0.001,0.001,0.001]}]");
     lum_model *m = gltf_load("quantized.gltf", text, NULL);
     assert_close(m->bounds_max.x - m->bounds_min.x, 1, rounding);
     assert_close(m->bounds_max.y - m->bounds_min.y, 0.5, rounding);
@@ -283,17 +289,19 @@ static void colours(void **state)
         float positions[3][3];
         unsigned char rgb[3][4];
     } data = {{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}}, {{255, 0, 51, 0}, {0, 255, 0, 0}, {0, 0, 255, 0}}};
-    char *text = document(&data, sizeof data,
-                          "\"bufferViews\":[{\"buffer\":0,\"byteLength\":36},{\"buffer\":0,\"byteOffset\":36,\"byteLength\":12,\"byteStride\":4}],"
-                          "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},"
-                          "{\"bufferView\":1,\"componentType\":5121,\"normalized\":true,\"count\":3,\"type\":\"VEC3\"}]",
-                          "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0,\"COLOR_0\":1}},{\"attributes\":{\"POSITION\":0}}]}]," ONE_NODE);
+    char *text = document(
+        &data, sizeof data,
+        "\"bufferViews\":[{\"buffer\":0,\"byteLength\":36},{\"buffer\":0,\"byteOffset\":36,\"byteLength\":12,\"byteStride\":4}],"
+        "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},"
+        "{\"bufferView\":1,\"componentType\":5121,\"normalized\":true,\"count\":3,\"type\":\"VEC3\"}]",
+        "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0,\"COLOR_0\":1}},{\"attributes\":{\"POSITION\":0}}]}]"
+        "," ONE_NODE);
     lum_model *m = gltf_load("colours.gltf", text, NULL);
     assert_non_null(m->colors);
     assert_close((double)m->colors[0], 1, 0);
     assert_close((double)m->colors[2], 0.2, 1e-7);
     assert_close((double)m->colors[3], 1, 0); /* no alpha in the file */
-    for (int i = 0; i < 12; i++) /* the second primitive has none: white */
+    for (int i = 0; i < 12; i++)              /* the second primitive has none: white */
         assert_close((double)m->colors[12 + i], 1, 0);
     lum_model_destroy(m);
     free(text);
@@ -311,11 +319,13 @@ static void morphs_and_instances(void **state)
         "\"bufferViews\":[{\"buffer\":0,\"byteLength\":36},{\"buffer\":0,\"byteOffset\":36,\"byteLength\":36},"
         "{\"buffer\":0,\"byteOffset\":72,\"byteLength\":24}],"
         "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},"
-        "{\"bufferView\":1,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},{\"bufferView\":2,\"componentType\":5126,\"count\":2,\"type\":\"VEC3\"}]";
-    char *text = document(&data, sizeof data, views,
-                          "\"meshes\":[{\"weights\":[0.5],\"primitives\":[{\"attributes\":{\"POSITION\":0},\"targets\":[{\"POSITION\":1}]}]}],"
-                          "\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"translation\":[0,0,1],\"extensions\":"
-                          "{\"EXT_mesh_gpu_instancing\":{\"attributes\":{\"TRANSLATION\":2}}}}]");
+        "{\"bufferView\":1,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},{\"bufferView\":2,\"componentType\":5126,"
+        "\"count\":2,\"type\":\"VEC3\"}]";
+    char *text = document(
+        &data, sizeof data, views,
+        "\"meshes\":[{\"weights\":[0.5],\"primitives\":[{\"attributes\":{\"POSITION\":0},\"targets\":[{\"POSITION\":1}]}]}],"
+        "\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"translation\":[0,0,1],\"extensions\":"
+        "{\"EXT_mesh_gpu_instancing\":{\"attributes\":{\"TRANSLATION\":2}}}}]");
     lum_model *m = gltf_load("morph.gltf", text, NULL);
     assert_int_equal(m->part_count, 2);
     assert_close(m->parts[0].area, 1, rounding); /* the base grew from 1 to 2 */
@@ -328,9 +338,10 @@ static void morphs_and_instances(void **state)
 
 static lum_model *load_material(const char *material, const char *more)
 {
-    char *rest = gltf_text("\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0},\"indices\":1,\"material\":0}]}]," ONE_NODE
-                           ",\"materials\":[{\"name\":\"M\"%s%s}]%s",
-                           *material ? "," : "", material, more);
+    char *rest =
+        gltf_text("\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0},\"indices\":1,\"material\":0}]}]," ONE_NODE
+                  ",\"materials\":[{\"name\":\"M\"%s%s}]%s",
+                  *material ? "," : "", material, more);
     char *text = tetrahedron_document(rest);
     lum_model *m = gltf_load("material.gltf", text, NULL);
     free(rest);
@@ -366,7 +377,8 @@ static void material_values(void **state)
         "\"pbrMetallicRoughness\":{\"baseColorFactor\":[0.1,0.2,0.3,0.4],\"metallicFactor\":0.25,\"roughnessFactor\":0.75},"
         "\"emissiveFactor\":[1,0.5,0.25],\"alphaMode\":\"BLEND\",\"alphaCutoff\":0.3,\"doubleSided\":true,\"extensions\":{"
         "\"KHR_materials_emissive_strength\":{\"emissiveStrength\":1000},\"KHR_materials_ior\":{\"ior\":1.7},"
-        "\"KHR_materials_transmission\":{\"transmissionFactor\":0.5},\"KHR_materials_diffuse_transmission\":{\"diffuseTransmissionFactor\":0.125},"
+        "\"KHR_materials_transmission\":{\"transmissionFactor\":0.5},\"KHR_materials_diffuse_transmission\":{"
+        "\"diffuseTransmissionFactor\":0.125},"
         "\"KHR_materials_volume\":{\"thicknessFactor\":0.01,\"attenuationDistance\":0.5,\"attenuationColor\":[0.5,0.25,1]},"
         "\"KHR_materials_sheen\":{}}",
         "");
@@ -405,8 +417,9 @@ static lum_model *load_textured(const char *use, const char *sampler)
     unsigned char *png = gltf_png(texels, 2, 2, &size);
     char *image = gltf_data_uri(png, size);
     char *rest = gltf_text("\"images\":[{\"uri\":\"%s\"}],\"samplers\":[%s],\"textures\":[{\"source\":0,\"sampler\":0}],"
-                           "\"materials\":[{%s}],\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0,\"TEXCOORD_0\":1},\"material\":0}]}],"
-                           ONE_NODE, image, sampler, use);
+                           "\"materials\":[{%s}],\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0,\"TEXCOORD_0\":1},"
+                           "\"material\":0}]}]," ONE_NODE,
+                           image, sampler, use);
     char *text = document(&data, sizeof data,
                           "\"bufferViews\":[{\"buffer\":0,\"byteLength\":36},{\"buffer\":0,\"byteOffset\":36,\"byteLength\":24}],"
                           "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},"
@@ -434,34 +447,40 @@ static void textures(void **state)
 {
     (void)state;
     double grey = pow((128 / 255.0 + 0.055) / 1.055, 2.4);
-    lum_model *m = load_textured("\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":0},\"metallicRoughnessTexture\":{\"index\":0}}", "{}");
+    lum_model *m = load_textured(
+        "\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":0},\"metallicRoughnessTexture\":{\"index\":0}}", "{}");
     assert_int_equal(m->image_count, 2); /* sRGB and linear */
     const lum_texture *t = &m->materials[0].base_texture;
     fetch(m, t, 0.25, 0.25, 1, 0, 0, 1); /* centres of the four texels; (0,0) is above and left */
     fetch(m, t, 0.75, 0.25, grey, grey, grey, 64 / 255.0);
     fetch(m, t, 0.25, 0.75, 0, 0, 1, 1);
     fetch(m, t, 0.5, 0.25, (1 + grey) / 2, grey / 2, grey / 2, (1 + 64 / 255.0) / 2);
-    fetch(m, t, 1.25, -0.75, 1, 0, 0, 1); /* repeats */
+    fetch(m, t, 1.25, -0.75, 1, 0, 0, 1);                                           /* repeats */
     fetch(m, t, 0, 0.25, (1 + grey) / 2, grey / 2, grey / 2, (1 + 64 / 255.0) / 2); /* across the border */
     fetch(m, &m->materials[0].metal_rough_texture, 0.75, 0.25, 128 / 255.0, 128 / 255.0, 128 / 255.0, 64 / 255.0);
     lum_model_destroy(m);
 
-    m = load_textured("\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":0}}", "{\"wrapS\":33071,\"wrapT\":33648,\"magFilter\":9728}");
+    m = load_textured("\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":0}}",
+                      "{\"wrapS\":33071,\"wrapT\":33648,\"magFilter\":9728}");
     t = &m->materials[0].base_texture;
-    fetch(m, t, -3, 0.1, 1, 0, 0, 1);                        /* clamped */
-    fetch(m, t, 9, 0.1, grey, grey, grey, 64 / 255.0);       /* clamped, nearest */
-    fetch(m, t, 0.1, 1.1, 0, 0, 1, 1);                       /* mirrored: the lower row again */
-    fetch(m, t, 0.1, 1.9, 1, 0, 0, 1);                       /* and the upper one */
+    fetch(m, t, -3, 0.1, 1, 0, 0, 1);                  /* clamped */
+    fetch(m, t, 9, 0.1, grey, grey, grey, 64 / 255.0); /* clamped, nearest */
+    fetch(m, t, 0.1, 1.1, 0, 0, 1, 1);                 /* mirrored: the lower row again */
+    fetch(m, t, 0.1, 1.9, 1, 0, 0, 1);                 /* and the upper one */
     fetch(m, t, 0.1, -0.1, 1, 0, 0, 1);
     lum_model_destroy(m);
 }
 
-/* KHR_texture_transform: uv is scaled, then rotated, then shifted. */
+/* KHR_texture_transform: uv is scaled, then rotated, then shifted.  The sense of the rotation is fixed by Khronos'
+ * TextureTransformTest: with a rotation of 22.5 degrees the texel in the direction of 45 degrees is to be seen at 67.5 degrees, so
+ * (u,v) turns by minus the angle. */
 static void texture_transform(void **state)
 {
     (void)state;
-    lum_model *m = load_textured("\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":0,\"extensions\":{\"KHR_texture_transform\":"
-                                 "{\"offset\":[0.5,0.25],\"rotation\":1.5707963267948966,\"scale\":[2,3]}}}}", "{}");
+    lum_model *m =
+        load_textured("\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":0,\"extensions\":{\"KHR_texture_transform\":"
+                      "{\"offset\":[0.5,0.25],\"rotation\":1.5707963267948966,\"scale\":[2,3]}}}}",
+                      "{}");
     const lum_texture *t = &m->materials[0].base_texture;
     /* (u,v) -> (2u,3v) -> by 90 degrees (3v,-2u) -> (3v+0.5, -2u+0.25) */
     const double expected[2][3] = {{0, 3, 0.5}, {-2, 0, 0.25}};
@@ -503,7 +522,8 @@ static void lights_and_cameras(void **state)
         "\"cameras\":[{\"type\":\"perspective\",\"perspective\":{\"yfov\":0.8,\"znear\":0.1}}],"
         "\"scene\":0,\"scenes\":[{\"nodes\":[0,1,2,3]}],\"nodes\":["
         "{\"name\":\"a\",\"translation\":[1,2,3],\"extensions\":{\"KHR_lights_punctual\":{\"light\":0}}},"
-        "{\"name\":\"b\",\"translation\":[3,2,3],\"rotation\":[-0.70710678118654757,0,0,0.70710678118654757],\"extensions\":{\"KHR_lights_punctual\":{\"light\":1}}},"
+        "{\"name\":\"b\",\"translation\":[3,2,3],\"rotation\":[-0.70710678118654757,0,0,0.70710678118654757],\"extensions\":{\"KHR_"
+        "lights_punctual\":{\"light\":1}}},"
         "{\"name\":\"c\",\"translation\":[0,900,0],\"extensions\":{\"KHR_lights_punctual\":{\"light\":2}}},"
         "{\"name\":\"eye\",\"camera\":0,\"translation\":[0,1,7],\"rotation\":[0,0.70710678118654757,0,0.70710678118654757]}]}",
         NULL);
@@ -578,11 +598,16 @@ static void errors(void **state)
         const char *nodes, *says;
         lmg_result result;
     } cases[] = {
-        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":1}]", "nodes[0].mesh: index 1 is outside the file's 1 meshes", LMG_ERROR_INPUT},
-        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"name\":\"a\",\"children\":[1]},{\"name\":\"b\",\"children\":[0]}]", "ancestor", LMG_ERROR_INPUT},
-        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"scale\":[1,2]}]", "nodes[0].scale: must have 3 numbers", LMG_ERROR_INPUT},
-        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"scale\":[1e300,1e300,1e300]}]", "from the origin", LMG_ERROR_INPUT},
-        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"name\":\"big\",\"children\":[1],\"scale\":[1e300,1,1]},{\"name\":\"in\",\"mesh\":0,\"scale\":[1e300,1,1]}]",
+        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":1}]",
+         "nodes[0].mesh: index 1 is outside the file's 1 meshes", LMG_ERROR_INPUT},
+        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"name\":\"a\",\"children\":[1]},{\"name\":\"b\",\"children\":[0]}]",
+         "ancestor", LMG_ERROR_INPUT},
+        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"scale\":[1,2]}]", "nodes[0].scale: must have 3 numbers",
+         LMG_ERROR_INPUT},
+        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"scale\":[1e300,1e300,1e300]}]", "from the origin",
+         LMG_ERROR_INPUT},
+        {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"name\":\"big\",\"children\":[1],\"scale\":[1e300,1,1]},{\"name\":"
+         "\"in\",\"mesh\":0,\"scale\":[1e300,1,1]}]",
          "node \"in\": its transform is not finite", LMG_ERROR_INPUT},
         {"\"extensionsRequired\":[\"KHR_draco_mesh_compression\"]", "KHR_draco_mesh_compression", LMG_ERROR_UNSUPPORTED},
         {"\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"mesh\":0}]", "duplicate", LMG_ERROR_FILE_FORMAT},
@@ -612,11 +637,13 @@ static void errors(void **state)
     float nan = NAN;
     memcpy(data + 12, &nan, 4);
     text = document(data, sizeof data, TETRAHEDRON, TETRAHEDRON_MESH "," ONE_NODE);
-    assert_non_null(strstr(gltf_refuse("nan.gltf", text, NULL, LMG_ERROR_INPUT), "mesh \"T\" primitive 0: POSITION: vertex 1 is not finite"));
+    assert_non_null(
+        strstr(gltf_refuse("nan.gltf", text, NULL, LMG_ERROR_INPUT), "mesh \"T\" primitive 0: POSITION: vertex 1 is not finite"));
     free(text);
     /* A missing picture of a slot that moves light is an error; of one that doesn't, nothing. */
-    char *rest = gltf_text("\"images\":[{\"uri\":\"gone.png\"}],\"textures\":[{\"source\":0}],\"materials\":[{\"occlusionTexture\":{\"index\":0}}],"
-                           "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0},\"indices\":1,\"material\":0}]}]," ONE_NODE);
+    char *rest = gltf_text(
+        "\"images\":[{\"uri\":\"gone.png\"}],\"textures\":[{\"source\":0}],\"materials\":[{\"occlusionTexture\":{\"index\":0}}],"
+        "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0},\"indices\":1,\"material\":0}]}]," ONE_NODE);
     text = tetrahedron_document(rest);
     lum_model_destroy(gltf_load("gone.gltf", text, NULL));
     free(text);
@@ -648,17 +675,55 @@ static void depth(void **state)
     free(text);
 }
 
+/* Names of any length and content stay one line of UTF-8 in messages. */
+static void long_names(void **state)
+{
+    (void)state;
+    char name[400] = "";
+    for (int i = 0; i < 120; i++)
+        strcat(name, "\xc3\xa4"); /* a two-byte letter, so that cuts at even and odd places meet its middle */
+    for (int shift = 0; shift < 2; shift++) {
+        char *rest = gltf_text(
+            "\"meshes\":[{\"name\":\"%s%s\\n\",\"primitives\":[{\"attributes\":{\"NORMAL\":0},\"indices\":1}]}]," ONE_NODE,
+            shift ? "x" : "", name);
+        char *text = tetrahedron_document(rest);
+        const char *message = gltf_refuse("names.gltf", text, NULL, LMG_ERROR_INPUT);
+        assert_non_null(strstr(message, "has no POSITION"));
+        for (const unsigned char *c = (const unsigned char *)message; *c; c++) {
+            if (*c == 0xc3)
+                assert_int_equal(*++c, 0xa4);
+            else
+                assert_true(*c >= 0x20 && *c < 0x7f);
+        }
+        free(rest);
+        free(text);
+    }
+}
+
 int main(void)
 {
     gltf_folder("test_gltf_files");
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(topologies),        cmocka_unit_test(closed_mesh),          cmocka_unit_test(mirroring),
-        cmocka_unit_test(transforms),        cmocka_unit_test(scenes),               cmocka_unit_test(degenerate_and_repeated),
-        cmocka_unit_test(sparse),            cmocka_unit_test(quantized),            cmocka_unit_test(colours),
-        cmocka_unit_test(morphs_and_instances), cmocka_unit_test(material_defaults), cmocka_unit_test(material_values),
-        cmocka_unit_test(textures),          cmocka_unit_test(texture_transform),    cmocka_unit_test(tangents),
-        cmocka_unit_test(lights_and_cameras), cmocka_unit_test(binary_and_external), cmocka_unit_test(errors),
+        cmocka_unit_test(topologies),
+        cmocka_unit_test(closed_mesh),
+        cmocka_unit_test(mirroring),
+        cmocka_unit_test(transforms),
+        cmocka_unit_test(scenes),
+        cmocka_unit_test(degenerate_and_repeated),
+        cmocka_unit_test(sparse),
+        cmocka_unit_test(quantized),
+        cmocka_unit_test(colours),
+        cmocka_unit_test(morphs_and_instances),
+        cmocka_unit_test(material_defaults),
+        cmocka_unit_test(material_values),
+        cmocka_unit_test(textures),
+        cmocka_unit_test(texture_transform),
+        cmocka_unit_test(tangents),
+        cmocka_unit_test(lights_and_cameras),
+        cmocka_unit_test(binary_and_external),
+        cmocka_unit_test(errors),
         cmocka_unit_test(depth),
+        cmocka_unit_test(long_names),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

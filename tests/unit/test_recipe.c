@@ -23,8 +23,8 @@ static void assert_close(double a, double b, double tolerance)
 /* Which way the cube's faces look. */
 typedef enum shell { INWARD, OUTWARD, DOUBLED } shell;
 
-/* Two nodes with the same mesh (a unit square facing +z, material "Paint"), below one parent; a light; and a cube, material "Bulb", 2 m
- * across. */
+/* Two nodes with the same mesh (a unit square facing +z, material "Paint"), below one parent; a light; and a cube, material "Bulb",
+ * 2 m across. */
 static char *scene_with(shell which)
 {
     static const float square[4][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}};
@@ -47,21 +47,22 @@ static char *scene_with(shell which)
     memcpy(bytes, data, sizeof data);
     memcpy(bytes + sizeof data, indices, sizeof indices);
     char *uri = gltf_data_uri(bytes, sizeof bytes);
-    char *text = gltf_text(
-        "{\"asset\":{\"version\":\"2.0\"},\"buffers\":[{\"byteLength\":%zu,\"uri\":\"%s\"}],"
-        "\"bufferViews\":[{\"buffer\":0,\"byteLength\":48},{\"buffer\":0,\"byteOffset\":48,\"byteLength\":96},"
-        "{\"buffer\":0,\"byteOffset\":144,\"byteLength\":144}],"
-        "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":4,\"type\":\"VEC3\"},"
-        "{\"bufferView\":1,\"componentType\":5126,\"count\":8,\"type\":\"VEC3\"},"
-        "{\"bufferView\":2,\"componentType\":5123,\"count\":%d,\"type\":\"SCALAR\"}],"
-        "\"materials\":[{\"name\":\"Paint\",\"emissiveFactor\":[1,1,1]},{\"name\":\"Bulb\"}],"
-        "\"meshes\":[{\"name\":\"Square\",\"primitives\":[{\"attributes\":{\"POSITION\":0},\"mode\":6,\"material\":0}]},"
-        "{\"name\":\"Cube\",\"primitives\":[{\"attributes\":{\"POSITION\":1},\"indices\":2,\"material\":1}]}],"
-        "\"extensions\":{\"KHR_lights_punctual\":{\"lights\":[{\"type\":\"point\",\"name\":\"Spark\"}]}},"
-        "\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"name\":\"Root\",\"children\":[1,2,3,4]},{\"name\":\"Left\",\"mesh\":0},"
-        "{\"name\":\"Right\",\"mesh\":0,\"translation\":[3,0,0]},{\"name\":\"Globe\",\"mesh\":1,\"translation\":[0,0,5]},"
-        "{\"name\":\"L\",\"extensions\":{\"KHR_lights_punctual\":{\"light\":0}}}]}",
-        sizeof bytes, uri, count);
+    char *text =
+        gltf_text("{\"asset\":{\"version\":\"2.0\"},\"buffers\":[{\"byteLength\":%zu,\"uri\":\"%s\"}],"
+                  "\"bufferViews\":[{\"buffer\":0,\"byteLength\":48},{\"buffer\":0,\"byteOffset\":48,\"byteLength\":96},"
+                  "{\"buffer\":0,\"byteOffset\":144,\"byteLength\":144}],"
+                  "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":4,\"type\":\"VEC3\"},"
+                  "{\"bufferView\":1,\"componentType\":5126,\"count\":8,\"type\":\"VEC3\"},"
+                  "{\"bufferView\":2,\"componentType\":5123,\"count\":%d,\"type\":\"SCALAR\"}],"
+                  "\"materials\":[{\"name\":\"Paint\",\"emissiveFactor\":[1,1,1]},{\"name\":\"Bulb\"}],"
+                  "\"meshes\":[{\"name\":\"Square\",\"primitives\":[{\"attributes\":{\"POSITION\":0},\"mode\":6,\"material\":0}]},"
+                  "{\"name\":\"Cube\",\"primitives\":[{\"attributes\":{\"POSITION\":1},\"indices\":2,\"material\":1}]}],"
+                  "\"extensions\":{\"KHR_lights_punctual\":{\"lights\":[{\"type\":\"point\",\"name\":\"Spark\"}]}},"
+                  "\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"name\":\"Root\",\"children\":[1,2,3,4]},{\"name\":"
+                  "\"Left\",\"mesh\":0},"
+                  "{\"name\":\"Right\",\"mesh\":0,\"translation\":[3,0,0]},{\"name\":\"Globe\",\"mesh\":1,\"translation\":[0,0,5]},"
+                  "{\"name\":\"L\",\"extensions\":{\"KHR_lights_punctual\":{\"light\":0}}}]}",
+                  sizeof bytes, uri, count);
     free(uri);
     return text;
 }
@@ -115,7 +116,8 @@ static void matching(void **state)
 {
     (void)state;
     /* By material: both squares; by node: one of them gets a material of its own; a later entry wins. */
-    lum_model *m = load_with("{\"match\":\"Paint\",\"diffuse\":{\"reflectance\":0.5}},{\"match\":\"Le*\",\"mirror\":{\"reflectance\":[0.9,0.8,0.7],\"roughness\":0.1}}");
+    lum_model *m = load_with("{\"match\":\"Paint\",\"diffuse\":{\"reflectance\":0.5}},{\"match\":\"Le*\",\"mirror\":{"
+                             "\"reflectance\":[0.9,0.8,0.7],\"roughness\":0.1}}");
     assert_int_equal(material_in(m, "Left")->kind, LUM_SURFACE_CONDUCTOR);
     assert_close((double)material_in(m, "Left")->base_color[2], 0.7, 1e-7);
     assert_close((double)material_in(m, "Left")->roughness, 0.1, 1e-7);
@@ -125,7 +127,8 @@ static void matching(void **state)
     assert_int_equal(m->material_count, 3);
     lum_model_destroy(m);
     /* A node stands for all below it; targets narrow. */
-    m = load_with("{\"match\":\"Root\",\"black\":true},{\"match\":\"Cube\",\"target\":\"mesh\",\"conductor\":{\"metal\":\"gold\"}}");
+    m = load_with(
+        "{\"match\":\"Root\",\"black\":true},{\"match\":\"Cube\",\"target\":\"mesh\",\"conductor\":{\"metal\":\"gold\"}}");
     assert_int_equal(material_in(m, "Left")->kind, LUM_SURFACE_BLACK);
     assert_int_equal(material_in(m, "Globe")->kind, LUM_SURFACE_CONDUCTOR);
     assert_true(material_in(m, "Globe")->has_eta);
@@ -178,7 +181,8 @@ static void emitters(void **state)
     assert_close((double)(material_in(m, "Left")->emissive[2] / material_in(m, "Left")->emissive[0]), 3, 1e-6);
     assert_false(material_in(m, "Left")->emits_back);
     lum_model_destroy(m);
-    m = load_with("{\"match\":\"Left\",\"emitter\":{\"lumens\":100,\"sides\":\"both\"}},{\"match\":\"Right\",\"emitter\":{\"luminance\":7}}");
+    m = load_with(
+        "{\"match\":\"Left\",\"emitter\":{\"lumens\":100,\"sides\":\"both\"}},{\"match\":\"Right\",\"emitter\":{\"luminance\":7}}");
     assert_close(lmg_luminance(material_in(m, "Left")->emissive), 100 / (pi * 2), 1e-4);
     assert_true(material_in(m, "Left")->emits_back);
     assert_close(lmg_luminance(material_in(m, "Right")->emissive), 7, 1e-5);
@@ -246,13 +250,44 @@ static void globals(void **state)
 static void shorthands(void **state)
 {
     (void)state;
-    static const char *const good[] = {"emitter:Bulb=800lm,2700K,both", "emitter:Paint=9500cd/m2", "thin:Bulb", "solid:Bulb", "no-emission:Paint",
-                                       "mirror:Left=0.9", "mirror:Left=0.9,0.1", "diffuse:Right=0.8", "leave-out:Spark", "black:Left",
-                                       "glass:Globe=1.5", "conductor:Globe=brass,0.4", "diffuse-transmission:Left=0.4,0.5"};
-    static const char *const bad[] = {"", "emitter", "emitter:", "emitter:Bulb", "emitter:Bulb=", "emitter:Bulb=800", "emitter:Bulb=800W", "emitter:Bulb=lm",
-                                      "emitter:Bulb=2700K", "emitter:Bulb=-5lm", "emitter:Bulb=nanlm", "mirror:Left", "mirror:Left=1.5", "mirror:Left=0.9,0.1,3",
-                                      "mirror:Left=0.9x", "conductor:Globe=unobtainium", "diffuse:Right=0.8,0.1", "shine:Bulb=800lm", "scale=0", "scale=x",
-                                      "flux=800", "flux=-1lm", "thin", "diffuse-transmission:Left=0.6,0.5", "mirror:=0.9"};
+    static const char *const good[] = {"emitter:Bulb=800lm,2700K,both",
+                                       "emitter:Paint=9500cd/m2",
+                                       "thin:Bulb",
+                                       "solid:Bulb",
+                                       "no-emission:Paint",
+                                       "mirror:Left=0.9",
+                                       "mirror:Left=0.9,0.1",
+                                       "diffuse:Right=0.8",
+                                       "leave-out:Spark",
+                                       "black:Left",
+                                       "glass:Globe=1.5",
+                                       "conductor:Globe=brass,0.4",
+                                       "diffuse-transmission:Left=0.4,0.5"};
+    static const char *const bad[] = {"",
+                                      "emitter",
+                                      "emitter:",
+                                      "emitter:Bulb",
+                                      "emitter:Bulb=",
+                                      "emitter:Bulb=800",
+                                      "emitter:Bulb=800W",
+                                      "emitter:Bulb=lm",
+                                      "emitter:Bulb=2700K",
+                                      "emitter:Bulb=-5lm",
+                                      "emitter:Bulb=nanlm",
+                                      "mirror:Left",
+                                      "mirror:Left=1.5",
+                                      "mirror:Left=0.9,0.1,3",
+                                      "mirror:Left=0.9x",
+                                      "conductor:Globe=unobtainium",
+                                      "diffuse:Right=0.8,0.1",
+                                      "shine:Bulb=800lm",
+                                      "scale=0",
+                                      "scale=x",
+                                      "flux=800",
+                                      "flux=-1lm",
+                                      "thin",
+                                      "diffuse-transmission:Left=0.6,0.5",
+                                      "mirror:=0.9"};
     lmg_error err = {{0}};
     lum_recipe *r;
     assert_int_equal(lum_recipe_create(&r, &err), LMG_OK);
@@ -288,15 +323,18 @@ static void wrong_recipes(void **state)
     } cases[] = {
         {"{\"entries\":[{\"match\":\"a\",\"thn\":true}]}", "entries[0]: unknown key \"thn\""},
         {"{\"entry\":[]}", "unknown key \"entry\""},
-        {"{\"entries\":[{\"match\":\"a\",\"mirror\":{\"reflectance\":1.2}}]}", "entries[0].mirror.reflectance: 1.2 is outside [0, 1]"},
-        {"{\"entries\":[{\"match\":\"a\",\"mirror\":{\"reflectance\":[1,1]}}]}", "entries[0].mirror.reflectance: must be a number or three"},
+        {"{\"entries\":[{\"match\":\"a\",\"mirror\":{\"reflectance\":1.2}}]}",
+         "entries[0].mirror.reflectance: 1.2 is outside [0, 1]"},
+        {"{\"entries\":[{\"match\":\"a\",\"mirror\":{\"reflectance\":[1,1]}}]}",
+         "entries[0].mirror.reflectance: must be a number or three"},
         {"{\"entries\":[{\"match\":\"a\",\"mirror\":0.9}]}", "entries[0].mirror: must be an object"},
         {"{\"entries\":[{\"thin\":true}]}", "entries[0].match: is missing"},
         {"{\"entries\":[{\"match\":\"a\"}]}", "says nothing"},
         {"{\"entries\":[{\"match\":\"a\",\"thin\":1}]}", "entries[0].thin: must be true or false"},
         {"{\"entries\":[{\"match\":\"a\",\"emitter\":{}}]}", "needs \"lumens\" or \"luminance\""},
         {"{\"entries\":[{\"match\":\"a\",\"emitter\":{\"lumens\":1,\"luminance\":1}}]}", "give either"},
-        {"{\"entries\":[{\"match\":\"a\",\"emitter\":{\"lumens\":1,\"kelvin\":100}}]}", "entries[0].emitter.kelvin: 100 is outside"},
+        {"{\"entries\":[{\"match\":\"a\",\"emitter\":{\"lumens\":1,\"kelvin\":100}}]}",
+         "entries[0].emitter.kelvin: 100 is outside"},
         {"{\"entries\":[{\"match\":\"a\",\"emitter\":{\"lumens\":1,\"color\":[0,0,0]}}]}", "color: is black"},
         {"{\"entries\":[{\"match\":\"a\",\"emitter\":{\"lumens\":1},\"no_emission\":true}]}", "contradicts"},
         {"{\"entries\":[{\"match\":\"a\",\"black\":true,\"diffuse\":{\"reflectance\":1}}]}", "two things"},
@@ -316,7 +354,8 @@ static void wrong_recipes(void **state)
         gltf_write("wrong.recipe.json", cases[i].text, strlen(cases[i].text));
         assert_int_equal(lum_recipe_read(gltf_path("wrong.recipe.json"), &r, &err), LMG_ERROR_INPUT);
         assert_null(r);
-        if (!strstr(err.message, cases[i].says) || strncmp(err.message, "wrong.recipe.json: ", 19) != 0 || strchr(err.message, '\n'))
+        if (!strstr(err.message, cases[i].says) || strncmp(err.message, "wrong.recipe.json: ", 19) != 0 ||
+            strchr(err.message, '\n'))
             fail_msg("case %zu: %s", i, err.message);
     }
     lmg_error err = {{0}};
@@ -337,13 +376,14 @@ static void no_match(void **state)
 
 /* ------------------------------------------------------------------------------------------------------------- colours */
 
-/* Chromaticities of black bodies from Planck's law and the CIE 1931 observer (CIE 15): illuminant A, and the locus at 4000, 6500 and
- * 10000 K.  Krystek's approximation is within 9e-5 in (u,v); in (x,y) that is less than 4e-4, and the matrix to Rec.709 is rounded to
- * 5e-5. */
+/* Chromaticities of black bodies from Planck's law and the CIE 1931 observer (CIE 15): illuminant A, and the locus at 4000, 6500
+ * and 10000 K.  Krystek's approximation is within 9e-5 in (u,v); in (x,y) that is less than 4e-4, and the matrix to Rec.709 is
+ * rounded to 5e-5. */
 static void planckian(void **state)
 {
     (void)state;
-    static const double locus[][3] = {{2856, 0.44757, 0.40745}, {4000, 0.38045, 0.37675}, {6500, 0.31352, 0.32363}, {10000, 0.28063, 0.28828}};
+    static const double locus[][3] = {
+        {2856, 0.44757, 0.40745}, {4000, 0.38045, 0.37675}, {6500, 0.31352, 0.32363}, {10000, 0.28063, 0.28828}};
     for (size_t i = 0; i < sizeof locus / sizeof *locus; i++) {
         double c[3];
         lum_planckian(locus[i][0], c);
@@ -422,9 +462,11 @@ int main(void)
 {
     gltf_folder("test_recipe_files");
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(matching),  cmocka_unit_test(surfaces),      cmocka_unit_test(emitters), cmocka_unit_test(emitting_outside),
-        cmocka_unit_test(globals),   cmocka_unit_test(shorthands),    cmocka_unit_test(wrong_recipes), cmocka_unit_test(no_match),
-        cmocka_unit_test(planckian), cmocka_unit_test(recipes_of_the_tree),
+        cmocka_unit_test(matching),      cmocka_unit_test(surfaces),
+        cmocka_unit_test(emitters),      cmocka_unit_test(emitting_outside),
+        cmocka_unit_test(globals),       cmocka_unit_test(shorthands),
+        cmocka_unit_test(wrong_recipes), cmocka_unit_test(no_match),
+        cmocka_unit_test(planckian),     cmocka_unit_test(recipes_of_the_tree),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -131,7 +131,7 @@ typedef struct lum_recipe lum_recipe;
 lmg_result lum_recipe_read(const char *path, lum_recipe **out, lmg_error *err);
 /* An empty recipe, to be filled by command-line shorthands. */
 lmg_result lum_recipe_create(lum_recipe **out, lmg_error *err);
-/* Adds one shorthand, e.g. "emitter:Bulb=800lm", "emitter:Tube=9500cd/m2", "thin:Glass", "no-emission:Shade", "mirror:Reflector=0.9",
+/* Adds one shorthand (all of them: docs/recipe.md), e.g. "emitter:Bulb=800lm", "emitter:Tube=9500cd/m2", "thin:Glass", "no-emission:Shade", "mirror:Reflector=0.9",
  * "diffuse:Casing=0.8", "leave-out:Pole".  Later entries win over earlier ones. */
 lmg_result lum_recipe_add(lum_recipe *recipe, const char *shorthand, lmg_error *err);
 void lum_recipe_destroy(lum_recipe *recipe);
