@@ -160,7 +160,7 @@ lmg_result view_render_pass(view_render *render, uint32_t samples, const atomic_
     unsigned threads = render->options.threads;
     size_t lights = render->scene->light_count ? render->scene->light_count : 1;
     thread_task *tasks = calloc(threads, sizeof *tasks);
-    double *weights = calloc(threads * lights, sizeof *weights);
+    double *weights = calloc(2 * threads * lights, sizeof *weights);
     if (!tasks || !weights) {
         free(tasks);
         free(weights);
@@ -171,7 +171,7 @@ lmg_result view_render_pass(view_render *render, uint32_t samples, const atomic_
     atomic_store(&render->next_tile, 0);
     unsigned started = 0;
     for (unsigned i = 0; i < threads; i++) {
-        tasks[i] = (thread_task){.render = render, .worker = {.weights = weights + i * lights}};
+        tasks[i] = (thread_task){.render = render, .worker = {.weights = weights + 2 * i * lights}};
         if (i + 1 == threads) {
             run_tiles(&tasks[i]); /* this thread is one of them */
         } else if (pthread_create(&tasks[i].thread, NULL, run_tiles, &tasks[i]) == 0) {

@@ -67,6 +67,7 @@ static double next_number(void *state)
 
 /* A surface point on the way, seen from the direction the path came from. */
 typedef struct vertex {
+    const view_scene *scene;
     view_hit hit;
     const view_object *object;
     lum_surface surface;
@@ -155,10 +156,14 @@ static bool adjoint_weight(const vertex *x, lum_scattered *s, double *eta_scale)
     return factor > 0;
 }
 
-static double power_heuristic(double mine, double other)
+/* Weight by the power heuristic of an estimate with density mine against two others. */
+static double power_heuristic(double mine, double other, double third)
 {
-    double a = mine * mine, b = other * other;
-    return a > 0 ? a / (a + b) : 0;
+    if (!(mine > 0)) {
+        return 0;
+    }
+    double a = other / mine, b = third / mine;
+    return 1 / (1 + a * a + b * b);
 }
 
 static bool any_light(const float rgb[3])
@@ -226,9 +231,43 @@ static bool light_arrives(const view_scene *scene, const view_hit *hit, const lu
     return !view_scene_occluded(scene, start, direction, distance, next_number, rng);
 }
 
-/* Direct light at x from one light chosen by chance.  worker->weights hold the lights' weights at x, which sum to total. */
+/* How the ray under way began. */
+typedef struct departure {
+    lmg_vec3 point; /* world */
+    bool direct;    /* from the eye or a delta lobe: no other estimate finds the light that it meets */
+    double pdf;     /* else the density of its direction */
+    double total;   /* sum of worker->weights, made at point; 0 when no light was chosen there */
+    double connect; /* density of a path from the boxes that comes along this ray, per luminance of the box; 0 when there is none */
+} departure;
+
+/*
+ * A path eye ... p x light, with p and x surfaces, can be made by choosing a light at x, by scattering at x, or by a path from a
+ * box.  In terms of the direction at x towards the light, and over the density with which scattering at p finds x, the third has
+ * the density connect luminance |cos| / flux  /  (pdf_p cos_x / d^2) with cos against x's normal of the direction to the box.  This
+ * gives all but luminance and |cos|; 0 when paths from boxes can't make it: p is the eye or mirrors, or the way from p to x is
+ * inside a solid.
+ */
+static double connect_factor(const view_scene *scene, double connect, const departure *from, const vertex *x, double distance,
+                             const medium_stack *media)
+{
+    if (!(connect > 0) || from->direct || media->depth || !(from->pdf > 0)) {
+        return 0;
+    }
+    double arrival = from->pdf * fabs(view_dot(x->hit.hit.ng, x->v));
+    return arrival > 0 ? connect / scene->boxes_flux * distance * distance / arrival : 0;
+}
+
+/* |cos| of that direction, w (model frame); 0 where light from outside can't come from, through the boundary of a solid. */
+static double connect_cosine(const vertex *x, lmg_vec3 w)
+{
+    double cosine = view_dot(x->hit.hit.ng, w);
+    return (cosine >= 0) != x->front && solid_boundary(x->surface.material) ? 0 : fabs(cosine);
+}
+
+/* Direct light at x from one light chosen by chance.  worker->weights hold the lights' weights at x, which sum to total;
+ * factor: connect_factor. */
 static void direct_light(const view_scene *scene, const view_path_options *options, const vertex *x, const medium_stack *media,
-                         double total, const double beta[3], lum_rng *rng, view_worker *worker, double sum[3])
+                         double total, double factor, const double beta[3], lum_rng *rng, view_worker *worker, double sum[3])
 {
     double pick = lum_rng_next(rng) * total;
     uint32_t chosen = 0;
@@ -249,7 +288,11 @@ static void direct_light(const view_scene *scene, const view_path_options *optio
     double pdf = sample.pdf * (worker->weights[chosen] / total);
     double weight = 1;
     if (!sample.delta && options->strategy == VIEW_MIS) {
-        weight = power_heuristic(pdf, lum_scatter_pdf(&x->surface, x->v, w, (float)x->eta_outside));
+        double connected = 0;
+        if (factor > 0 && scene->lights[chosen].kind == VIEW_LIGHT_BOX) {
+            connected = factor * fabs(lmg_luminance(sample.radiance)) * connect_cosine(x, w);
+        }
+        weight = power_heuristic(pdf, lum_scatter_pdf(&x->surface, x->v, w, (float)x->eta_outside), connected);
     }
     worker->rays++;
     if (!light_arrives(scene, &x->hit, &sample, rng)) {
@@ -267,30 +310,21 @@ static void direct_light(const view_scene *scene, const view_path_options *optio
     add_light(sum, beta, attenuation, light, weight / pdf);
 }
 
-/* How the ray under way began. */
-typedef struct departure {
-    lmg_vec3 point; /* world */
-    bool direct;    /* from the eye or a delta lobe: no other estimate finds the light that it meets */
-    double pdf;     /* else the density of its direction */
-    double total;   /* sum of worker->weights, made at point; 0 when no light was chosen there */
-} departure;
-
-/* What the light that the ray meets counts, when choosing a light there would have had the given density. */
-static double scattering_weight(const view_path_options *options, const departure *from, double light_density)
+/* What the light that the ray meets counts, when choosing a light and a path from a box would have had the given densities. */
+static double scattering_weight(const view_path_options *options, const departure *from, double light_density, double connected)
 {
     if (from->direct || options->strategy == VIEW_SCATTERING_ONLY) {
         return 1;
     }
-    return options->strategy == VIEW_LIGHTS_ONLY ? 0 : power_heuristic(from->pdf, light_density);
+    return options->strategy == VIEW_LIGHTS_ONLY ? 0 : power_heuristic(from->pdf, light_density, connected);
 }
 
-/* The probability with which this light was chosen where the ray began. */
-static double light_share(const view_scene *scene, const view_worker *worker, const departure *from, view_light_kind kind,
-                          uint32_t index)
+/* The probability with which this light is chosen where the lights have these weights. */
+static double light_share(const view_scene *scene, const double *weights, double total, view_light_kind kind, uint32_t index)
 {
-    for (uint32_t i = 0; i < scene->light_count && from->total > 0; i++) {
+    for (uint32_t i = 0; i < scene->light_count && total > 0; i++) {
         if (scene->lights[i].kind == kind && scene->lights[i].index == index) {
-            return worker->weights[i] / from->total;
+            return weights[i] / total;
         }
     }
     return 0;
@@ -315,13 +349,15 @@ static void add_boxes(const view_scene *scene, const view_path_options *options,
         if (!any_light(rgb)) {
             continue;
         }
-        double density = 0;
+        double density = 0, connected = 0;
         if (!from->direct && options->strategy == VIEW_MIS) {
-            density = light_share(scene, worker, from, VIEW_LIGHT_BOX, i) * lmg_field_point_pdf(box->field, own_p, own_d);
+            density =
+                light_share(scene, worker->weights, from->total, VIEW_LIGHT_BOX, i) * lmg_field_point_pdf(box->field, own_p, own_d);
+            connected = from->connect * fabs(lmg_luminance(rgb)) * box->scale;
         }
         double attenuation[3] = {1, 1, 1};
         attenuate(media, t, attenuation);
-        add_light(sum, beta, attenuation, rgb, box->scale * scattering_weight(options, from, density));
+        add_light(sum, beta, attenuation, rgb, box->scale * scattering_weight(options, from, density, connected));
     }
 }
 
@@ -334,11 +370,11 @@ static void add_emission(const view_scene *scene, const view_path_options *optio
     }
     double density = 0;
     if (!from->direct && options->strategy == VIEW_MIS && x->object->emitters) {
-        density = light_share(scene, worker, from, VIEW_LIGHT_EMITTERS, x->hit.object) *
+        density = light_share(scene, worker->weights, from->total, VIEW_LIGHT_EMITTERS, x->hit.object) *
                   lum_emitters_point_pdf(x->object->emitters, view_point_in(&x->object->motion, from->point), &x->hit.hit);
     }
     static const double CLEAR[3] = {1, 1, 1};
-    add_light(sum, beta, CLEAR, x->surface.emission, x->object->scale * scattering_weight(options, from, density));
+    add_light(sum, beta, CLEAR, x->surface.emission, x->object->scale * scattering_weight(options, from, density, 0));
 }
 
 /* Scattering as a photon's, its polarization kept in the world frame. */
@@ -359,6 +395,22 @@ static void scatter(const vertex *x, lum_rng *rng, lum_polarization *polarizatio
     }
 }
 
+/* The surface at x->hit as seen along d (world). */
+static void see(vertex *x, lmg_vec3 d)
+{
+    x->object = &x->scene->objects[x->hit.object];
+    lmg_vec3 own_d = view_direction_in(&x->object->motion, d);
+    lum_surface_at(x->object->scene, &x->hit.hit, own_d, &x->surface);
+    x->v = view_minus(own_d);
+    double side = view_dot(x->hit.hit.ng, x->v);
+    x->front = side >= 0;
+    x->smoothed = !x->object->lamp && x->surface.tilted && side * view_dot(x->surface.ns, x->v) > 0;
+    if (x->smoothed) {
+        x->surface.ng = x->surface.ns;
+        x->surface.tilted = false;
+    }
+}
+
 /* Follows the straight ray from origin in direction d to the next surface that meets it, passing those that by chance don't.
  * *distance is counted from p, just behind which origin lies.  False when nothing is met; *distance is infinite then. */
 static bool next_vertex(const view_scene *scene, lmg_vec3 p, lmg_vec3 origin, lmg_vec3 d, lum_rng *rng, view_worker *worker,
@@ -369,18 +421,9 @@ static bool next_vertex(const view_scene *scene, lmg_vec3 p, lmg_vec3 origin, lm
         if (!view_scene_intersect(scene, origin, d, &x->hit)) {
             break;
         }
-        x->object = &scene->objects[x->hit.object];
-        lmg_vec3 own_d = view_direction_in(&x->object->motion, d);
-        lum_surface_at(x->object->scene, &x->hit.hit, own_d, &x->surface);
+        x->scene = scene;
+        see(x, d);
         if (x->surface.coverage >= 1 || lum_rng_next(rng) < (double)x->surface.coverage) {
-            x->v = view_minus(own_d);
-            double side = view_dot(x->hit.hit.ng, x->v);
-            x->front = side >= 0;
-            x->smoothed = !x->object->lamp && x->surface.tilted && side * view_dot(x->surface.ns, x->v) > 0;
-            if (x->smoothed) {
-                x->surface.ng = x->surface.ns;
-                x->surface.tilted = false;
-            }
             *distance = view_dot(view_sub(x->hit.position, p), d);
             return true;
         }
@@ -388,6 +431,95 @@ static bool next_vertex(const view_scene *scene, lmg_vec3 p, lmg_vec3 origin, lm
     }
     *distance = INFINITY;
     return false;
+}
+
+/* Where a ray emitted by a box meets the scene first. */
+typedef struct light_vertex {
+    bool valid;
+    uint32_t box;
+    lmg_vec3 back;   /* towards the box, world */
+    vertex x;        /* as the light sees it */
+    double color[3]; /* of the box's light in the ray, luminance 1 */
+} light_vertex;
+
+static void trace_from_box(const view_scene *scene, lum_rng *rng, view_worker *worker, light_vertex *out)
+{
+    double pick = lum_rng_next(rng) * scene->boxes_flux, xi[5];
+    out->valid = false;
+    out->box = 0;
+    while (out->box + 1 < scene->box_count && pick >= scene->boxes[out->box].flux) {
+        pick -= scene->boxes[out->box++].flux;
+    }
+    for (int i = 0; i < 5; i++) {
+        xi[i] = lum_rng_next(rng);
+    }
+    const view_box *box = &scene->boxes[out->box];
+    lmg_ray ray;
+    if (!lmg_field_emit(box->field, xi, &ray)) {
+        return;
+    }
+    lmg_vec3 origin = view_point_out(&box->motion, ray.origin), d = view_direction_out(&box->motion, ray.direction);
+    double distance;
+    out->back = view_minus(d);
+    for (int c = 0; c < 3; c++) {
+        out->color[c] = (double)ray.flux[c];
+    }
+    out->valid =
+        next_vertex(scene, origin, origin, d, rng, worker, &out->x, &distance) && !view_box_inside(box, out->x.hit.position);
+}
+
+/* Light that goes from a box to the light vertex, from there to x and on towards the eye. */
+static void connect_paths(const view_scene *scene, const vertex *x, const medium_stack *media, const light_vertex *light,
+                          double connect, const double beta[3], lum_rng *rng, view_worker *worker, double sum[3])
+{
+    lmg_vec3 way = view_sub(light->x.hit.position, x->hit.position);
+    double d2 = view_dot(way, way), distance = sqrt(d2);
+    if (!(d2 > 0)) {
+        return;
+    }
+    lum_light_sample towards = {.direction = view_scale(way, 1 / distance), .distance = distance};
+    lmg_vec3 w = view_direction_in(&x->object->motion, towards.direction);
+    float f[3];
+    reflect_towards_eye(x, w, f);
+    if (!any_light(f)) {
+        return;
+    }
+    bool across = (view_dot(x->hit.hit.ng, w) >= 0) != x->front && solid_boundary(x->surface.material);
+    if (across ? cross_boundary(*media, x->surface.material, x->front).depth : media->depth) {
+        return;
+    }
+    /* The light vertex as the eye's path would see it from x. */
+    vertex y = {.scene = scene, .hit = light->x.hit};
+    see(&y, towards.direction);
+    y.eta_outside = 1;
+    lmg_vec3 back = view_direction_in(&y.object->motion, light->back);
+    double cosine = connect_cosine(&y, back), arrival = fabs(view_dot(y.hit.hit.ng, y.v)) / d2;
+    float g[3];
+    reflect_towards_eye(&y, back, g);
+    if (!(cosine > 0) || !(arrival > 0) || !any_light(g)) {
+        return;
+    }
+    worker->rays++;
+    if (!light_arrives(scene, &x->hit, &towards, rng)) {
+        return;
+    }
+    /* The densities of the three estimates, as in connect_factor. */
+    const view_box *box = &scene->boxes[light->box];
+    lmg_vec3 own_y = view_point_in(&box->motion, y.hit.position), own_back = view_direction_in(&box->motion, light->back);
+    float radiance[3];
+    lmg_field_radiance(box->field, own_y, view_minus(own_back), LMG_NEAREST, radiance, NULL);
+    double mine = connect * cosine * fabs(lmg_luminance(radiance)) * box->scale / scene->boxes_flux;
+    double found = lum_scatter_pdf(&x->surface, x->v, w, (float)x->eta_outside) * arrival;
+    double *weights = worker->weights + scene->light_count;
+    double total = view_light_weights(scene, y.hit.position, weights);
+    double chosen =
+        light_share(scene, weights, total, VIEW_LIGHT_BOX, light->box) * lmg_field_point_pdf(box->field, own_y, own_back);
+    double scattered = lum_scatter_pdf(&y.surface, y.v, back, (float)y.eta_outside);
+    double weight = power_heuristic(mine, found * chosen, found * scattered);
+    for (int c = 0; c < 3; c++) {
+        sum[c] +=
+            beta[c] * (double)f[c] * (double)g[c] * light->color[c] * (scene->boxes_flux * arrival * weight / (connect * cosine));
+    }
 }
 
 void view_path_radiance(const view_scene *scene, const view_path_options *options, lmg_vec3 origin, lmg_vec3 direction,
@@ -399,6 +531,14 @@ void view_path_radiance(const view_scene *scene, const view_path_options *option
     medium_stack media = {.depth = 0};
     lum_polarization polarization = {.known = false};
     lmg_vec3 start = origin, d = direction;
+    double connect = 0;
+    if (options->strategy == VIEW_MIS && scene->box_count && options->max_depth > 1 && options->connect >= 0) {
+        connect = options->connect > 0 ? fmin(options->connect, 1) : scene->connect;
+    }
+    light_vertex light = {.valid = false};
+    if (connect > 0 && (connect >= 1 || lum_rng_next(rng) < connect)) {
+        trace_from_box(scene, rng, worker, &light);
+    }
 
     for (uint32_t depth = 0;; depth++) {
         vertex x;
@@ -420,12 +560,17 @@ void view_path_radiance(const view_scene *scene, const view_path_options *option
         }
         x.eta_outside = index_of(&outside);
 
+        double factor = connect_factor(scene, connect, &from, &x, distance, &media);
         from.total = 0;
         if (scene->light_count && options->strategy != VIEW_SCATTERING_ONLY) {
             from.total = view_light_weights(scene, x.hit.position, worker->weights);
             if (from.total > 0) {
-                direct_light(scene, options, &x, &media, from.total, beta, rng, worker, sum);
+                direct_light(scene, options, &x, &media, from.total, factor, beta, rng, worker, sum);
             }
+        }
+
+        if (light.valid && depth + 1 < options->max_depth) {
+            connect_paths(scene, &x, &media, &light, connect, beta, rng, worker, sum);
         }
 
         lum_scattered scattered;
@@ -436,6 +581,7 @@ void view_path_radiance(const view_scene *scene, const view_path_options *option
         /* Before the weight: the density is that of the photon's way. */
         from.direct = (scattered.event & LUM_DELTA) != 0;
         from.pdf = from.direct ? 0 : lum_scatter_pdf(surface, x.v, scattered.wo, (float)x.eta_outside);
+        from.connect = factor > 0 ? factor * connect_cosine(&x, scattered.wo) : 0;
         if (x.object->lamp && !adjoint_weight(&x, &scattered, &eta_scale)) {
             break;
         }

@@ -6,6 +6,12 @@
  * surface's own scattering until it meets a light; both are combined by the power heuristic [Veach1997, section 9.2] with exact
  * densities, light by light, so that each light's share is an unbiased estimate whatever the weights.
  *
+ * A beam that lights a small patch of the room makes that patch a strong light for the rest, and scattering finds it by luck only.
+ * So paths also start at the boxes: a ray emitted by a box, the first surface it meets, and from there to the surface points of the
+ * eye's path.  This third estimate of light that comes by way of one more surface has an exact density too (a box emits in
+ * proportion to radiance) and shares in the heuristic.  It costs a ray or two per surface point, so it is made with a probability
+ * that the scene measures (view_scene_finish).
+ *
  * Scattering backwards.  On lamps the photon tracer's flux density p(wo|wi) is used as its exact adjoint (luminaires/scatter.h), so
  * that a lamp's geometry in the room and a bake of it agree also under interpolated normals.  On the room itself the shading normal
  * takes the place of the geometric one (light that would pass the true surface is dropped): with flat shading that is the same
@@ -28,13 +34,14 @@
 typedef enum view_strategy { VIEW_MIS = 0, VIEW_LIGHTS_ONLY = 1, VIEW_SCATTERING_ONLY = 2 } view_strategy;
 
 typedef struct view_path_options {
-    uint32_t max_depth; /* scatterings followed; 0 shows only what shines itself */
-    view_strategy strategy;
+    uint32_t max_depth;     /* scatterings followed; 0 shows only what shines itself */
+    view_strategy strategy; /* others than VIEW_MIS make no connections */
+    double connect;         /* probability of paths from the boxes: 0 = as the scene says, negative = none, else up to 1 */
 } view_path_options;
 
 /* One thread's working memory and counters. */
 typedef struct view_worker {
-    double *weights;  /* light_count numbers, from the caller */
+    double *weights;  /* 2 light_count numbers, from the caller */
     uint64_t rays;    /* closest-hit rays and shadow rays traced */
     uint64_t refused; /* estimates that weren't finite, counted as zero; 0 in a sound scene */
 } view_worker;

@@ -5,6 +5,8 @@
  */
 #include "view_scene.h"
 
+#include <luminaires/rng.h>
+
 #include <float.h>
 #include <stdlib.h>
 #include <string.h>
@@ -182,6 +184,57 @@ lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_re
     return LMG_OK;
 }
 
+/* Concentration from which on every path connects. */
+static const double CONNECT_ALWAYS = 100;
+
+static double room_area(const lum_model *model)
+{
+    double area = 0;
+    for (uint32_t i = 0; i < model->part_count; i++) {
+        area += model->parts[i].area;
+    }
+    return area;
+}
+
+static void measure_concentration(view_scene *scene)
+{
+    enum { RAYS = 64 };
+    double area = room_area(scene->objects[0].model), concentration = 0;
+    scene->boxes_flux = 0;
+    scene->connect = 0;
+    for (uint32_t i = 0; i < scene->box_count; i++) {
+        scene->boxes_flux += scene->boxes[i].flux;
+    }
+    for (uint32_t i = 0; i < scene->box_count; i++) {
+        const view_box *box = &scene->boxes[i];
+        double sum = 0;
+        for (uint32_t k = 0; k < RAYS; k++) {
+            lum_rng rng = lum_rng_stream(i, k);
+            double xi[5], e[3];
+            for (int j = 0; j < 5; j++) {
+                xi[j] = lum_rng_next(&rng);
+            }
+            lmg_ray ray;
+            view_hit hit;
+            if (!lmg_field_emit(box->field, xi, &ray)) {
+                continue;
+            }
+            lmg_vec3 d = view_direction_out(&box->motion, ray.direction);
+            if (!view_scene_intersect(scene, view_point_out(&box->motion, ray.origin), d, &hit)) {
+                continue;
+            }
+            lmg_vec3 n = view_dot(hit.ng, d) < 0 ? hit.ng : view_minus(hit.ng);
+            if (lmg_field_illuminance(box->field, view_point_in(&box->motion, hit.position), view_direction_in(&box->motion, n), e,
+                                      NULL, NULL) == LMG_OK) {
+                sum += (0.2126 * e[0] + 0.7152 * e[1] + 0.0722 * e[2]) * box->scale / RAYS;
+            }
+        }
+        concentration += sum * area / scene->boxes_flux * (box->flux / scene->boxes_flux);
+    }
+    double share = concentration / CONNECT_ALWAYS;
+    scene->connect = share < 0.1 ? 0 : fmin(share, 1);
+}
+
 lmg_result view_scene_finish(view_scene *scene, lmg_error *err)
 {
     free(scene->lights);
@@ -213,6 +266,7 @@ lmg_result view_scene_finish(view_scene *scene, lmg_error *err)
                                                            .centre = view_point_out(&object->motion, middle),
                                                            .radius2 = view_dot(half, half)};
     }
+    measure_concentration(scene);
     return LMG_OK;
 }
 
