@@ -120,6 +120,12 @@ void room_walls(const double l[3], const double u[3], double albedo, room_rectan
 
 lmg_field *panel_field(double x0, double x1, double z0, double z1, double height, const float color[3], double luminance)
 {
+    return beam_field(x0, x1, z0, z1, height, color, luminance, 1);
+}
+
+lmg_field *beam_field(double x0, double x1, double z0, double z1, double height, const float color[3], double luminance,
+                      double window)
+{
     lmg_layout layout = {.slab_count = 1, .channels = 3, .colour = {1, 1, 1}};
     layout.bounds_min = (lmg_vec3){x0, 0, z0};
     layout.bounds_max = (lmg_vec3){x1, height, z1};
@@ -135,10 +141,10 @@ lmg_field *panel_field(double x0, double x1, double z0, double z1, double height
                        .u1 = x1,
                        .v0 = z0,
                        .v1 = z1,
-                       .s0 = -1,
-                       .s1 = 1,
-                       .t0 = -1,
-                       .t1 = 1,
+                       .s0 = -window,
+                       .s1 = window,
+                       .t0 = -window,
+                       .t1 = window,
                        .nu = 3,
                        .nv = 2,
                        .ns = 8,
@@ -156,7 +162,7 @@ lmg_field *panel_field(double x0, double x1, double z0, double z1, double height
                 for (uint32_t is = 0; is < slab->ns; is++) {
                     double etendue = lmg_slab_cell_etendue(slab, iu, iv, is, it);
                     double uvst[4] = {x0 + (x1 - x0) * (iu + 0.5) / slab->nu, z0 + (z1 - z0) * (iv + 0.5) / slab->nv,
-                                      -1 + 2 * (is + 0.5) / slab->ns, -1 + 2 * (it + 0.5) / slab->nt};
+                                      window * (2 * (is + 0.5) / slab->ns - 1), window * (2 * (it + 0.5) / slab->nt - 1)};
                     lmg_ray rays[2] = {{.number = 0}, {.number = 1}};
                     for (int i = 0; i < 2; i++) {
                         lmg_slab_ray(slab, uvst, &rays[i].origin, &rays[i].direction);

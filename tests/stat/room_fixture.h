@@ -24,6 +24,10 @@ void room_walls(const double lower[3], const double upper[3], double albedo, roo
  * x0 <= x <= x1, z0 <= z <= z1.  Its bounds reach from y = 0 up to height. */
 lmg_field *panel_field(double x0, double x1, double z0, double z1, double height, const float color[3], double luminance);
 
+/* The same with light only in directions whose aperture coordinates are within +-window (a beam about -y). */
+lmg_field *beam_field(double x0, double x1, double z0, double z1, double height, const float color[3], double luminance,
+                      double window);
+
 /* Its flux (lumens) and its illuminance at (x,-h,z) on a surface facing up: closed forms. */
 double panel_flux(double x0, double x1, double z0, double z1, double luminance);
 double panel_illuminance(double x0, double x1, double z0, double z1, double luminance, double x, double h, double z);

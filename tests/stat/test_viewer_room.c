@@ -133,12 +133,13 @@ static double chi_square(const view_image *a, const view_image *b, double factor
     return sum;
 }
 
-static view_image picture(const view_scene *scene, const view_camera *camera, uint32_t side, uint32_t samples, uint64_t seed)
+static view_image picture(const view_scene *scene, const view_camera *camera, uint32_t side, uint32_t samples, uint64_t seed,
+                          view_path_options path)
 {
     lmg_error err;
     view_render *render = NULL;
     view_image image;
-    view_render_options options = {.width = side, .height = side, .seed = seed, .path = ENDLESS};
+    view_render_options options = {.width = side, .height = side, .seed = seed, .path = path};
     assert_int_equal(view_render_create(scene, camera, &options, &render, &err), LMG_OK);
     assert_int_equal(view_render_pass(render, samples, NULL, &err), LMG_OK);
     assert_int_equal(view_image_create(side, side, &image, &err), LMG_OK);
@@ -186,7 +187,7 @@ static void box_and_geometry_agree(void **state)
 
     /* Down into a corner: floor, two walls, the tilted rectangle and its shadow. */
     view_camera camera = camera_at(boxed, 1.8, 1.9, 1.3, -0.6, 0.2, -0.4, 55);
-    view_image a = picture(boxed, &camera, 64, 96, 41), b = picture(built, &camera, 64, 96, 42);
+    view_image a = picture(boxed, &camera, 64, 96, 41, ENDLESS), b = picture(built, &camera, 64, 96, 42, ENDLESS);
     int blocks;
     double same = chi_square(&a, &b, 1, &blocks), mutant = chi_square(&a, &b, 1.03, &blocks), limit = chi_square_limit(blocks);
     print_message("box against geometry: chi-square %.1f for %d blocks (limit %.1f); with 3 %% more light %.1f\n", same, blocks,
@@ -197,6 +198,51 @@ static void box_and_geometry_agree(void **state)
     view_image_free(&b);
     view_scene_destroy(boxed);
     view_scene_destroy(built);
+}
+
+/*
+ * Paths from the boxes change the noise and nothing else.  A beam on a table among diffuse and roughly mirroring surfaces, two
+ * boxes of which one is turned; with connections always, sometimes and never, for all depths and for two scatterings alone.
+ */
+static void connections_change_no_mean(void **state)
+{
+    (void)state;
+    lmg_error err;
+    const double lower[3] = {-2, 0, -1.5}, upper[3] = {2, 2.5, 1.5};
+    room_rectangle walls[9];
+    room_walls(lower, upper, 0.6, walls);
+    walls[2].metal = true; /* mirrors roughly */
+    walls[2].roughness = 0.5;
+    walls[2].albedo = 0.8;
+    walls[6] = (room_rectangle){.corner = {-0.5, 0.7, -0.4}, .e1 = {0, 0, 0.8}, .e2 = {1.1, 0, 0}, .albedo = 0.7};
+    walls[7] = (room_rectangle){.corner = {-0.5, 0.6999, -0.4}, .e1 = {1.1, 0, 0}, .e2 = {0, 0, 0.8}, .albedo = 0.3};
+    walls[8] = (room_rectangle){.corner = {-0.4, 0.71, -0.2}, .e1 = {0.15, 0.3, 0}, .e2 = {0, 0, 0.3}, .albedo = 0.5};
+    view_scene *scene = scene_of(walls, 9);
+    static const float WARM[3] = {1, 0.8f, 0.6f}, COOL[3] = {0.7f, 0.9f, 1.2f};
+    const view_placement one = {.position = {0.1, 2.1, 0.05}, .ry = 20}, two = {.position = {-1, 1.5, 0.8}, .rx = 40, .rz = -30};
+    assert_int_equal(view_scene_adopt_box(scene, beam_field(-0.1, 0.1, -0.08, 0.08, 0.05, WARM, 2e5, 0.1), &one, 0, &err), LMG_OK);
+    assert_int_equal(view_scene_adopt_box(scene, panel_field(-0.1, 0.1, -0.08, 0.08, 0.05, COOL, 500), &two, 0, &err), LMG_OK);
+    assert_int_equal(view_scene_finish(scene, &err), LMG_OK);
+    assert_true(scene->connect > 0);
+    view_camera camera = camera_at(scene, 1.8, 1.4, 1.3, -0.6, 0.7, -0.8, 60);
+    for (int depth = 2; depth <= 12; depth += 10) {
+        view_path_options never = {.max_depth = (uint32_t)depth, .connect = -1},
+                          always = {.max_depth = (uint32_t)depth, .connect = 1},
+                          sometimes = {.max_depth = (uint32_t)depth, .connect = 0.4};
+        view_image a = picture(scene, &camera, 48, depth > 2 ? 1000 : 400, 51, never);
+        for (int i = 0; i < 2; i++) {
+            view_image b = picture(scene, &camera, 48, 64, 52 + (uint64_t)i, i ? sometimes : always);
+            int blocks;
+            double same = chi_square(&a, &b, 1, &blocks), limit = chi_square_limit(blocks);
+            print_message("depth %d, connections %s: chi-square %.1f for %d blocks (limit %.1f); with 20 %% more light %.1f\n",
+                          depth, i ? "sometimes" : "always", same, blocks, limit, chi_square(&a, &b, 1.2, &blocks));
+            assert_true(same < limit);
+            assert_true(chi_square(&a, &b, 1.2, &blocks) > limit);
+            view_image_free(&b);
+        }
+        view_image_free(&a);
+    }
+    view_scene_destroy(scene);
 }
 
 /* The same bits on 1, 2 and 5 threads, in one pass and in three; other bits for another seed. */
@@ -265,7 +311,7 @@ static void errors_are_honest(void **state)
                      LMG_OK);
     assert_int_equal(view_scene_finish(scene, &err), LMG_OK);
     view_camera camera = camera_at(scene, 1.8, 1.9, 1.3, -0.6, 0.2, -0.4, 55);
-    enum { SEEDS = 40 };
+    enum { SEEDS = 160 };
     double sum = 0, squares = 0, claimed = 0;
     for (int i = 0; i < SEEDS; i++) {
         measurement m = measure(scene, &camera, 16, 16, 24, 100 + (uint64_t)i, ENDLESS);
@@ -275,7 +321,7 @@ static void errors_are_honest(void **state)
     }
     double spread = (squares - sum * sum / SEEDS) / (SEEDS - 1), ratio = spread / claimed;
     print_message("spread over %d seeds / claimed variance: %.3f\n", SEEDS, ratio);
-    /* ratio x 39 is chi-square distributed: between the 1e-4 quantiles of either side. */
+    /* ratio x 159 is chi-square distributed: between the 1e-4 quantiles of either side. */
     assert_true(ratio * (SEEDS - 1) < chi_square_limit(SEEDS - 1));
     double c = 2.0 / (9 * (SEEDS - 1));
     assert_true(ratio > pow(1 - c - 3.719 * sqrt(c), 3));
@@ -285,9 +331,8 @@ static void errors_are_honest(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(closed_room_balance),
-        cmocka_unit_test(box_and_geometry_agree),
-        cmocka_unit_test(threads_change_nothing),
+        cmocka_unit_test(connections_change_no_mean), cmocka_unit_test(closed_room_balance),
+        cmocka_unit_test(box_and_geometry_agree),     cmocka_unit_test(threads_change_nothing),
         cmocka_unit_test(errors_are_honest),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
