@@ -15,7 +15,7 @@
 #include <string.h>
 
 #if defined(__GNUC__)
-#define PREFETCH_WRITE(p) __builtin_prefetch((p), 1)
+#define PREFETCH_WRITE(p) __builtin_prefetch((const void *)(uintptr_t)(p), 1)
 #else
 #define PREFETCH_WRITE(p) ((void)(p))
 #endif
@@ -99,7 +99,7 @@ static inline bool convert(const lmg_ray *ray, uint32_t channels, entry *out)
     if (!(y >= 0 && y <= LMG_MAX_RAY_FLUX && largest <= LMG_MAX_RAY_FLUX))
         return false;
     double d2 = v_dot(ray->direction, ray->direction);
-    if (!(d2 > 0 && d2 < INFINITY) || !v_finite(ray->origin))
+    if (!(d2 > 0 && d2 < HUGE_VAL) || !v_finite(ray->origin))
         return false;
     if (channels == 1) {
         out->flux[0] = round_with(y * LMG_FLUX_ONE, dither(ray->number, 0));
@@ -137,7 +137,7 @@ void lmg_accumulator_deposit(lmg_accumulator *acc, const lmg_ray *rays, size_t c
             }
             uint64_t cell = acc->plan.first[j] + lmg_plan_cell(&acc->plan, j, uvst);
             _Atomic uint64_t *base = acc->words + cell * words;
-            PREFETCH_WRITE((const void *)base);
+            PREFETCH_WRITE(base);
             e->cell = base + (ray->number & 1 ? channels : 0);
             /* the squares' word lies behind both halves: A + 2 channels */
             used++;
