@@ -210,6 +210,7 @@ static void exr_round_trip(void **state)
         near(back.seconds, 2.25, 0);
         assert_true(back.seed == UINT64_MAX);
         near(back.mid_grey, 12.5, 0);
+        view_image_free(&again);
 
         /* Cut off anywhere: an error, never a picture and never a crash. */
         FILE *file = fopen(path, "rb");
