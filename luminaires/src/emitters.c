@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * What shines in a model.  Emissive triangles are cut into patches - one for a triangle of uniform emission, up to 64 x 64 for a textured
- * one - and patches and punctual lights are chosen in proportion to their luminous flux with an alias table [Vose1991].  Emission is
- * Lambertian about the geometric normal.  Relies on texture.c for texels and on scene_data.h for the offset of new rays.
+ * What shines in a model.  Emissive triangles are cut into patches - one for a triangle of uniform emission, up to 64 x 64 for a
+ * textured one - and patches and punctual lights are chosen in proportion to their luminous flux with an alias table
+ * [vose1991alias].  Emission is Lambertian about the geometric normal.  Relies on texture.c for texels and on scene_data.h for the
+ * offset of new rays.
  */
 #include "scene_data.h"
 #include "vec.h"
@@ -11,17 +12,17 @@
 #include <string.h>
 
 typedef struct patch {
-    double power;     /* lumens */
-    float bound;      /* largest luminance (cd/m2) in it, coverage applied; 0 when dark */
-    float mean;       /* cd/m2 */
+    double power; /* lumens */
+    float bound;  /* largest luminance (cd/m2) in it, coverage applied; 0 when dark */
+    float mean;   /* cd/m2 */
 } patch;
 
 typedef struct emissive_triangle {
     uint32_t triangle;
     uint32_t first_patch;
-    uint32_t n;       /* cuts per edge: n * n patches */
-    float area;       /* m2 */
-    float error;      /* lum_triangle_error */
+    uint32_t n;  /* cuts per edge: n * n patches */
+    float area;  /* m2 */
+    float error; /* lum_triangle_error */
     bool textured, both;
 } emissive_triangle;
 
@@ -46,11 +47,11 @@ struct lum_emitters {
     uint32_t triangle_count, patch_count, light_count;
     emissive_triangle *triangles;
     patch *patches;
-    int32_t *of_triangle;  /* of a model's triangle: index in triangles, or LUM_NONE */
+    int32_t *of_triangle; /* of a model's triangle: index in triangles, or LUM_NONE */
     punctual *lights;
-    alias_entry *alias;    /* by flux, directional lights left out (power 0): emission */
-    alias_entry *alias_all;/* with directional lights: next-event estimation */
-    double flux, flux_all; /* lumens: sum of the powers in each table */
+    alias_entry *alias;     /* by flux, directional lights left out (power 0): emission */
+    alias_entry *alias_all; /* with directional lights: next-event estimation */
+    double flux, flux_all;  /* lumens: sum of the powers in each table */
     double rgb[3];
 };
 
@@ -68,8 +69,9 @@ static void uv_at(const lum_model *model, uint32_t triangle, int set, double b1,
     out[0] = out[1] = 0;
     if (uv) {
         for (int k = 0; k < 2; k++) {
-            out[k] = (float)((1 - b1 - b2) * (double)uv[2 * (size_t)corner[0] + (size_t)k] +
-                             b1 * (double)uv[2 * (size_t)corner[1] + (size_t)k] + b2 * (double)uv[2 * (size_t)corner[2] + (size_t)k]);
+            out[k] =
+                (float)((1 - b1 - b2) * (double)uv[2 * (size_t)corner[0] + (size_t)k] +
+                        b1 * (double)uv[2 * (size_t)corner[1] + (size_t)k] + b2 * (double)uv[2 * (size_t)corner[2] + (size_t)k]);
         }
     }
 }
@@ -99,7 +101,8 @@ static void emission_at(const lum_model *model, uint32_t triangle, double b1, do
         if (model->colors) {
             const uint32_t *corner = model->indices + 3 * (size_t)triangle;
             alpha *= (float)((1 - b1 - b2) * (double)model->colors[4 * (size_t)corner[0] + 3] +
-                             b1 * (double)model->colors[4 * (size_t)corner[1] + 3] + b2 * (double)model->colors[4 * (size_t)corner[2] + 3]);
+                             b1 * (double)model->colors[4 * (size_t)corner[1] + 3] +
+                             b2 * (double)model->colors[4 * (size_t)corner[2] + 3]);
         }
         float coverage = m->alpha_mode == LUM_ALPHA_BLEND ? fminf(fmaxf(alpha, 0), 1) : alpha >= m->alpha_cutoff ? 1 : 0;
         for (int c = 0; c < 3; c++) {
@@ -182,8 +185,8 @@ static void texel_at(const lum_model *model, uint32_t triangle, double b1, doubl
     }
 }
 
-/* Largest luminance that the emissive texture gives in a patch: over the texels of its bounding rectangle, one more on each side, of which
- * the interpolated values are means. */
+/* Largest luminance that the emissive texture gives in a patch: over the texels of its bounding rectangle, one more on each side,
+ * of which the interpolated values are means. */
 static float patch_bound(const lum_model *model, uint32_t triangle, const double corner[2], double step)
 {
     const lum_material *m = &model->materials[model->triangle_material[triangle]];
@@ -481,7 +484,8 @@ lmg_result lum_emitters_create(const lum_model *model, lum_emitters **out, lmg_e
     }
     if (patches + e->light_count > UINT32_MAX - 1) {
         lum_emitters_destroy(e);
-        return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "the model has %llu emissive patches, more than 4 thousand million; reduce its emissive textures",
+        return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
+                        "the model has %llu emissive patches, more than 4 thousand million; reduce its emissive textures",
                         (unsigned long long)patches);
     }
     e->patch_count = (uint32_t)patches;
@@ -558,7 +562,8 @@ static lmg_vec3 point_at(const lum_model *model, uint32_t triangle, double b1, d
     return vec_along(vec_along(a, e1, b1), e2, b2);
 }
 
-void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], double (*next)(void *state), void *state, lum_photon *out)
+void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], double (*next)(void *state), void *state,
+                         lum_photon *out)
 {
     double u = xi[0];
     uint32_t i = pick(emitters->alias, emitters->patch_count + emitters->light_count, &u);

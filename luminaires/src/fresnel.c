@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Fresnel's formulae for unpolarised light [BornWolf1999, ch. 1.5 and 14.2]; no approximations. */
+/* Fresnel's formulae for unpolarised light [born1999optics, ch. 1.5 and 14.2]; no approximations. */
 #include <luminaires/scatter.h>
 
 #include <math.h>

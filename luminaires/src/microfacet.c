@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Albedo tables of rough lobes (microfacet.h), computed when a scene is made, for the indices and roughnesses its materials have. */
+/* Albedo tables of rough lobes (microfacet.h), computed when a scene is made, for the indices and roughnesses its materials have.
+ */
 #include "microfacet.h"
 
 #include "scene_data.h"
@@ -55,10 +56,10 @@ static double facet_albedo(lum_lobe_kind kind, double alpha, double eta, lmg_vec
 }
 
 /*
- * The visible normals are h = c + v (stretched by alpha) with c uniform over the spherical cap z > -v.z [Dupuy2023]: E is the mean over c
- * of what a facet's light gets away with.  That has kinks, along curves, where a direction becomes horizontal and where total reflection
- * begins, which product rules follow badly; a Fibonacci lattice [Niederreiter1992, ch. 5] meets each curve at as many different places
- * as it has points.
+ * The visible normals are h = c + v (stretched by alpha) with c uniform over the spherical cap z > -v.z [dupuy2023caps]: E is the
+ * mean over c of what a facet's light gets away with.  That has kinks, along curves, where a direction becomes horizontal and where
+ * total reflection begins, which product rules follow badly; a Fibonacci lattice [niederreiter1992random, ch. 5] meets each curve
+ * at as many different places as it has points.
  */
 double lum_lobe_albedo(lum_lobe_kind kind, double alpha, double eta, double mu, int n)
 {
@@ -98,8 +99,8 @@ static void fill_lobe(lum_lobe *lobe, lum_lobe_kind kind, double alpha, double e
         /* At q = 0 the limit: taken a little above it, where the quadrature still resolves the lobe. */
         double mu = sqrt(j ? node(j) : 1e-3 * node(1));
         double rest = 1 - lum_lobe_albedo(kind, alpha, eta, mu, LATTICE_POINTS);
-        /* Never quite zero, so that the density stays defined for smooth surfaces that lose nothing; 1e-9 of the flux is below anything
-         * that a simulation resolves. */
+        /* Never quite zero, so that the density stays defined for smooth surfaces that lose nothing; 1e-9 of the flux is below
+         * anything that a simulation resolves. */
         lobe->rest[j] = rest > 1e-9 ? rest : 1e-9;
     }
     lobe->sum[0] = 0;
@@ -251,8 +252,7 @@ static void fill_tables(lum_table_store *store, const lum_material *m, const flo
         t->metal = find_set(store, LUM_LOBE_METAL, 0, alpha, failed);
     }
     for (int c = 0; c < 3; c++) {
-        t->metal_average[c] =
-            m->has_eta ? (float)hemisphere_mean(lum_fresnel_conductor, (double)m->eta[c], (double)m->k[c]) : 1;
+        t->metal_average[c] = m->has_eta ? (float)hemisphere_mean(lum_fresnel_conductor, (double)m->eta[c], (double)m->k[c]) : 1;
     }
     if (!pbr) {
         return;
@@ -293,8 +293,9 @@ lmg_result lum_tables_create(const lum_model *model, lum_table_store *store, lmg
     for (uint32_t i = 0; i < model->material_count && !failed; i++) {
         fill_tables(store, &model->materials[i], media, count, &store->tables[i], &failed);
     }
-    return failed ? lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for the albedo tables of %u materials", model->material_count)
-                  : LMG_OK;
+    return failed
+               ? lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for the albedo tables of %u materials", model->material_count)
+               : LMG_OK;
 }
 
 void lum_tables_destroy(lum_table_store *store)

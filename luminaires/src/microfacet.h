@@ -1,12 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * GGX microfacets [Walter2007] and where the light goes that one bounce on them doesn't account for.
+ * GGX microfacets [walter2007microfacet] and where the light goes that one bounce on them doesn't account for.
  *
  * A single reflection on a rough surface loses the light that its own facets block: of what arrives under cosine mu the share E(mu)
  * gets away, the rest, 1 - E(mu), is scattered again.  That rest leaves with the density
  *     p(mu_o) = (1 - E(mu_o)) mu_o / (pi (1 - E_avg)),   E_avg = 2 * integral of E mu,
- * which is reciprocal and conserves energy [Kelemen2001, Kulla2017].  1 - E is tabulated as a function that is linear in q = mu^2 between
- * nodes; with d(mu^2) = 2 mu dmu the density is linear in q too, so its integral and its inverse are exact for the interpolant.
+ * which is reciprocal and conserves energy [kelemen2001coupled, kulla2017imageworks].  1 - E is tabulated as a function that is
+ * linear in q = mu^2 between nodes; with d(mu^2) = 2 mu dmu the density is linear in q too, so its integral and its inverse are
+ * exact for the interpolant.
  */
 #ifndef LUMINAIRES_MICROFACET_H
 #define LUMINAIRES_MICROFACET_H
@@ -25,34 +26,34 @@ typedef struct lum_lobe {
 
 /* Over roughness (sqrt of alpha): one lobe if it is constant, else LUM_LOBE_ROUGHNESSES + 1 equally spaced ones. */
 typedef struct lum_lobe_set {
-    int kind;      /* lum_lobe_kind */
-    float eta;     /* relative index n_t / n_i; 0 for LUM_LOBE_METAL */
-    float alpha;   /* of a set with one lobe */
+    int kind;    /* lum_lobe_kind */
+    float eta;   /* relative index n_t / n_i; 0 for LUM_LOBE_METAL */
+    float alpha; /* of a set with one lobe */
     int count;
     lum_lobe lobes[];
 } lum_lobe_set;
 
 typedef enum lum_lobe_kind {
-    LUM_LOBE_METAL = 0,     /* E: single reflection, Fresnel reflectance 1 */
-    LUM_LOBE_COAT = 1,      /* E: single reflection on a dielectric; the rest is what enters the base below */
-    LUM_LOBE_BOUNDARY = 2   /* E: single reflection and single transmission of a dielectric */
+    LUM_LOBE_METAL = 0,   /* E: single reflection, Fresnel reflectance 1 */
+    LUM_LOBE_COAT = 1,    /* E: single reflection on a dielectric; the rest is what enters the base below */
+    LUM_LOBE_BOUNDARY = 2 /* E: single reflection and single transmission of a dielectric */
 } lum_lobe_kind;
 
 /* For one index of the medium outside. */
 typedef struct lum_medium_tables {
     float eta_outside;
-    const lum_lobe_set *coat;              /* opaque dielectrics */
-    const lum_lobe_set *outside, *inside;  /* boundaries of solids, light from the front and from behind; NULL if not needed */
-    double fresnel_average;                /* of the smooth boundary from the front, over the cosine-weighted hemisphere */
-    double thin_average;                   /* of lum_fresnel_thin */
+    const lum_lobe_set *coat;             /* opaque dielectrics */
+    const lum_lobe_set *outside, *inside; /* boundaries of solids, light from the front and from behind; NULL if not needed */
+    double fresnel_average;               /* of the smooth boundary from the front, over the cosine-weighted hemisphere */
+    double thin_average;                  /* of lum_fresnel_thin */
 } lum_medium_tables;
 
 enum { LUM_MAX_MEDIA = 8 };
 
 /* What the lobes of one material need. */
 struct lum_tables {
-    const lum_lobe_set *metal;   /* NULL if not needed */
-    float metal_average[3];      /* Fresnel reflectance of eta, k over the cosine-weighted hemisphere */
+    const lum_lobe_set *metal; /* NULL if not needed */
+    float metal_average[3];    /* Fresnel reflectance of eta, k over the cosine-weighted hemisphere */
     int media;
     lum_medium_tables medium[LUM_MAX_MEDIA];
 };
@@ -89,7 +90,7 @@ static inline double ggx_d(double alpha, lmg_vec3 m)
     return a2 / (LUM_PI * e * e);
 }
 
-/* A facet normal seen from w (w.z > 0), distributed as its visible normals [Heitz2018], by spherical caps [Dupuy2023]. */
+/* A facet normal seen from w (w.z > 0), distributed as its visible normals [heitz2018vndf], by spherical caps [dupuy2023caps]. */
 static inline lmg_vec3 ggx_sample_visible(double alpha, lmg_vec3 w, double x, double y)
 {
     lmg_vec3 v = vec_unit(vec(alpha * w.x, alpha * w.y, w.z));

@@ -52,8 +52,8 @@ static bool fill_triangle(const lum_model *model, uint32_t index, lum_triangle *
     out->material = (uint32_t)model->triangle_material[index] | (smooth ? LUM_TRIANGLE_SMOOTH : 0);
     double error = lum_triangle_error((const float(*)[3])out->v);
     double longest = fmax(vec_length(vec_sub(b, a)), fmax(vec_length(vec_sub(c, b)), vec_length(vec_sub(a, c))));
-    /* Hits keep 4 errors from each edge that isn't flat, so that the origin offset from one wall can't pass through another that meets it at an angle
-     * of more than 14 degrees.  Small triangles keep what they can. */
+    /* Hits keep 4 errors from each edge that isn't flat, so that the origin offset from one wall can't pass through another that
+     * meets it at an angle of more than 14 degrees.  Small triangles keep what they can. */
     double margin = twice_area > 0 ? 4 * error * longest / twice_area : 0.25;
     out->error = nextafterf((float)error, INFINITY);
     out->margin = (float)(margin < 0.25 ? margin : 0.25);
@@ -105,8 +105,9 @@ static bool lies_folded(const lum_scene *scene, const edge_slot *slot)
 
 /*
  * Finds the edges where exactly two triangles go on almost in one plane (within 8 degrees).  There an origin that stands off one
- * triangle stands off the other as well (by at least 0.99 of it), so hits need no distance from the edge; and in the acute corner of a long
- * thin triangle there would be no room for it: a hit would be moved far along the triangle.  Edges are matched by position.
+ * triangle stands off the other as well (by at least 0.99 of it), so hits need no distance from the edge; and in the acute corner
+ * of a long thin triangle there would be no room for it: a hit would be moved far along the triangle.  Edges are matched by
+ * position.
  */
 static bool mark_flat_edges(lum_scene *scene, uint32_t count)
 {
@@ -276,11 +277,12 @@ static inline void set_ray(struct RTCRay *ray, lmg_vec3 o, lmg_vec3 d, float nea
 }
 
 /*
- * The triangle again, in double [Moeller1997].  u, v: Embree's barycentrics.  Returns whether the ray truly meets it.
+ * The triangle again, in double [moller1997triangle].  u, v: Embree's barycentrics.  Returns whether the ray truly meets it.
  *
- * Embree decides in float and (robust mode) in favour of a hit, so near an edge the exact point may lie slightly outside.  Then the point
- * that Embree names, which is inside, is accepted if the ray passes it within the rounding of Embree's input: origin and direction
- * rounded to float displace the ray by sqrt(3) u (|o| + t), its edge functions add some roundings of differences up to M + |o|: 32 u covers both.
+ * Embree decides in float and (robust mode) in favour of a hit, so near an edge the exact point may lie slightly outside.  Then the
+ * point that Embree names, which is inside, is accepted if the ray passes it within the rounding of Embree's input: origin and
+ * direction rounded to float displace the ray by sqrt(3) u (|o| + t), its edge functions add some roundings of differences up to M
+ * + |o|: 32 u covers both.
  */
 static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, float u, float v, lum_hit *hit)
 {
@@ -306,8 +308,8 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
             }
             t = along;
         }
-        /* Away from the edges by the same distance everywhere: barycentrics change by distance / height over the edge, and heights go as
-         * one over the edges' lengths.  (One margin for all would move a hit on a long thin triangle far along it.) */
+        /* Away from the edges by the same distance everywhere: barycentrics change by distance / height over the edge, and heights
+         * go as one over the edges' lengths.  (One margin for all would move a hit on a long thin triangle far along it.) */
         double l0 = vec_length(vec_sub(e2, e1)), l1 = vec_length(e2), l2 = vec_length(e1);
         double per_length = margin / fmax(l0, fmax(l1, l2));
         double m0 = tri->flat_edges & 1 ? 0 : per_length * l0;
@@ -334,8 +336,9 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
     return true;
 }
 
-/* Where to go on after a false hit at distance t, beyond `near`.  Tracing threads take denormal numbers for zero, so the next distance after
- * 0 is the least normal number; and should Embree report no more than `near` for lack of smaller numbers, twice `near`. */
+/* Where to go on after a false hit at distance t, beyond `near`.  Tracing threads take denormal numbers for zero, so the next
+ * distance after 0 is the least normal number; and should Embree report no more than `near` for lack of smaller numbers, twice
+ * `near`. */
 static inline float beyond(float t, float near)
 {
     float next = nextafterf(t, INFINITY);
@@ -372,8 +375,8 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
     return false;
 }
 
-/* Any-hit queries can't be checked in double triangle by triangle, and Embree's distances are off by the rounding of its input over the
- * cosine, so that a light would shadow itself at grazing angles: hence the closest hit here too. */
+/* Any-hit queries can't be checked in double triangle by triangle, and Embree's distances are off by the rounding of its input over
+ * the cosine, so that a light would shadow itself at grazing angles: hence the closest hit here too. */
 bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance)
 {
     struct RTCRayHit rayhit;

@@ -15,11 +15,11 @@ enum {
 
 /* All that a hit needs of a triangle, in one cache line. */
 typedef struct lum_triangle {
-    float v[3][3];      /* vertices */
-    float ng[3];        /* geometric normal, rounded to float */
-    uint32_t material;  /* index | LUM_TRIANGLE_SMOOTH */
-    float error;        /* lum_hit.error: see lum_triangle_error */
-    float margin;       /* largest barycentric distance that hits keep from the edges: see lum_triangle_error */
+    float v[3][3];       /* vertices */
+    float ng[3];         /* geometric normal, rounded to float */
+    uint32_t material;   /* index | LUM_TRIANGLE_SMOOTH */
+    float error;         /* lum_hit.error: see lum_triangle_error */
+    float margin;        /* largest barycentric distance that hits keep from the edges: see lum_triangle_error */
     uint32_t flat_edges; /* bit i: the edge opposite vertex i is flat (mark_flat_edges); hits may lie on it */
 } lum_triangle;
 
@@ -27,7 +27,7 @@ typedef struct lum_triangle {
 typedef struct lum_shading {
     lum_surface surface; /* of an untextured point seen from the front */
     bool emissive;
-    bool fetch;          /* anything depends on the hit: textures or vertex colours */
+    bool fetch; /* anything depends on the hit: textures or vertex colours */
 } lum_shading;
 
 struct lum_scene {
@@ -36,19 +36,19 @@ struct lum_scene {
     float (*normals)[3][3]; /* per triangle; NULL if no triangle is smooth */
     lum_shading *shading;   /* per material */
     lum_table_store tables;
-    void *device, *embree;  /* RTCDevice, RTCScene */
+    void *device, *embree; /* RTCDevice, RTCScene */
 };
 
 /*
  * How far a new ray's origin must stand off a triangle, metres.
  *
- * Hits are found again in double precision, so a hit's position is exact to about 1e-16 of the coordinates.  What limits is that Embree
- * takes the origin of the next ray as floats.  With u = 2^-24 and M the largest vertex coordinate (it bounds |P| on the triangle):
- *   rounding of the origin moves it along the normal by at most u (|Px nx| + |Py ny| + |Pz nz|) <= sqrt(3) u M;
- *   Embree's differences V - O have components of at most 2 M, rounded: another 2 sqrt(3) u M along the normal;
- *   its normal, a cross product of such differences, and the dot product with it: each of 6 more roundings at most 2 sqrt(3) u M.
- * Sum: at most 15 sqrt(3) u M = 26 u M for a triangle that isn't a sliver (where the normal's relative error grows as 1/sin of the
- * smallest angle; there the hit is rejected by the test in double precision).  32 u M is 1.9 um per metre of M: a fiftieth of a 0.1 mm wall.
+ * Hits are found again in double precision, so a hit's position is exact to about 1e-16 of the coordinates.  What limits is that
+ * Embree takes the origin of the next ray as floats.  With u = 2^-24 and M the largest vertex coordinate (it bounds |P| on the
+ * triangle): rounding of the origin moves it along the normal by at most u (|Px nx| + |Py ny| + |Pz nz|) <= sqrt(3) u M; Embree's
+ * differences V - O have components of at most 2 M, rounded: another 2 sqrt(3) u M along the normal; its normal, a cross product of
+ * such differences, and the dot product with it: each of 6 more roundings at most 2 sqrt(3) u M. Sum: at most 15 sqrt(3) u M = 26 u
+ * M for a triangle that isn't a sliver (where the normal's relative error grows as 1/sin of the smallest angle; there the hit is
+ * rejected by the test in double precision).  32 u M is 1.9 um per metre of M: a fiftieth of a 0.1 mm wall.
  */
 static inline double lum_triangle_error(const float v[3][3])
 {

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * From a hit to a surface: material, textures, shading normal.  Materials are prepared once per scene, so that a hit on an untextured
- * one is a copy.
+ * From a hit to a surface: material, textures, shading normal.  Materials are prepared once per scene, so that a hit on an
+ * untextured one is a copy.
  */
 #include "scene_data.h"
 
@@ -32,14 +32,15 @@ lmg_result lum_shading_create(lum_scene *scene, lmg_error *err)
         s->alpha = m->roughness * m->roughness;
         s->transmission = m->transmission;
         s->diffuse_transmission = m->diffuse_transmission;
-        s->coverage = m->alpha_mode == LUM_ALPHA_BLEND ? m->base_color[3]
+        s->coverage = m->alpha_mode == LUM_ALPHA_BLEND  ? m->base_color[3]
                       : m->alpha_mode == LUM_ALPHA_MASK ? (m->base_color[3] >= m->alpha_cutoff ? 1.0f : 0.0f)
                                                         : 1.0f;
         memcpy(s->emission, m->emissive, sizeof s->emission);
         s->front = true;
         shading->emissive = m->emissive[0] != 0 || m->emissive[1] != 0 || m->emissive[2] != 0;
         shading->fetch = textured(&m->base_texture) || textured(&m->metal_rough_texture) || textured(&m->normal_texture) ||
-                         textured(&m->transmission_texture) || (textured(&m->emissive_texture) && shading->emissive) || model->colors;
+                         textured(&m->transmission_texture) || (textured(&m->emissive_texture) && shading->emissive) ||
+                         model->colors;
     }
     return LMG_OK;
 }
@@ -56,8 +57,8 @@ static void interpolate(const lum_model *model, const lum_hit *hit, const float 
     }
 }
 
-/* The direction in which u of the normal texture grows, from tangents or, without, from the triangle's texture coordinates; false if they
- * say nothing.  *hand: 1 or -1, of the bitangent cross(n, tangent). */
+/* The direction in which u of the normal texture grows, from tangents or, without, from the triangle's texture coordinates; false
+ * if they say nothing.  *hand: 1 or -1, of the bitangent cross(n, tangent). */
 static bool tangent_at(const lum_model *model, const lum_hit *hit, int set, lmg_vec3 *tangent, double *hand)
 {
     const uint32_t *corner = model->indices + 3 * (size_t)hit->triangle;

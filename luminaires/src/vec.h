@@ -52,7 +52,7 @@ static inline lmg_vec3 vec_unit(lmg_vec3 a)
     return vec_scale(a, 1 / vec_length(a));
 }
 
-/* Two axes that make a right-handed orthonormal frame with the unit vector n.  [Duff2017] */
+/* Two axes that make a right-handed orthonormal frame with the unit vector n.  [duff2017frame] */
 static inline void vec_frame(lmg_vec3 n, lmg_vec3 *x, lmg_vec3 *y)
 {
     double sign = copysign(1.0, n.z);
@@ -69,10 +69,13 @@ static inline void sincos_turns(double u, double *s, double *c)
 {
     int k = (int)(u * 4 + 0.5);
     double r = (u - k * 0.25) * (2 * LUM_PI), q = r * r;
-    double si = r * (1 + q * (-1.0 / 6 + q * (1.0 / 120 + q * (-1.0 / 5040 + q * (1.0 / 362880 +
-                q * (-1.0 / 39916800 + q * (1.0 / 6227020800.0)))))));
-    double co = 1 + q * (-1.0 / 2 + q * (1.0 / 24 + q * (-1.0 / 720 + q * (1.0 / 40320 +
-                q * (-1.0 / 3628800 + q * (1.0 / 479001600.0 + q * (-1.0 / 87178291200.0)))))));
+    double si =
+        r * (1 + q * (-1.0 / 6 +
+                      q * (1.0 / 120 + q * (-1.0 / 5040 + q * (1.0 / 362880 + q * (-1.0 / 39916800 + q * (1.0 / 6227020800.0)))))));
+    double co =
+        1 + q * (-1.0 / 2 +
+                 q * (1.0 / 24 + q * (-1.0 / 720 + q * (1.0 / 40320 + q * (-1.0 / 3628800 + q * (1.0 / 479001600.0 +
+                                                                                                 q * (-1.0 / 87178291200.0)))))));
     double a = k & 1 ? co : si, b = k & 1 ? si : co;
     *s = k & 2 ? -a : a;
     *c = (k + 1) & 2 ? -b : b;

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Time per call of what a photon tracer does at a hit, and of finding the hit: nanoseconds of processor time on one thread, best of five rounds.
- * Prints one line per material: lum_surface_at, lum_scatter_trace (with polarization), both; and for the scene Embree alone, through
- * lum_scene_intersect, and a whole segment (intersect, surface, scatter, offset) on the same kind of rays.
+ * Time per call of what a photon tracer does at a hit, and of finding the hit: nanoseconds of processor time on one thread, best of
+ * five rounds. Prints one line per material: lum_surface_at, lum_scatter_trace (with polarization), both; and for the scene Embree
+ * alone, through lum_scene_intersect, and a whole segment (intersect, surface, scatter, offset) on the same kind of rays.
  */
 #include "../unit/make_model.h"
 
@@ -137,8 +137,10 @@ static void run(const char *name, uint32_t (*make)(lum_model *))
         segment = fmin(segment, 10 * (now() - t));
     }
     double scale = 1e9 / ((double)REPEAT * HITS);
-    printf("%-28s surface %5.1f  scatter %5.1f  both %5.1f | Embree %6.1f  intersect %6.1f  segment %6.1f ns: %.0f %% of Embree alone\n", name,
-           surface * scale, scatter * scale, both * scale, raw * scale, intersect * scale, segment * scale, 100 * raw / segment);
+    printf("%-28s surface %5.1f  scatter %5.1f  both %5.1f | Embree %6.1f  intersect %6.1f  segment %6.1f ns: %.0f %% of Embree "
+           "alone\n",
+           name, surface * scale, scatter * scale, both * scale, raw * scale, intersect * scale, segment * scale,
+           100 * raw / segment);
     lum_thread_end(saved);
     lum_scene_destroy(scene);
     free_model(model);

@@ -5,7 +5,8 @@
 
 #include <stddef.h>
 
-/* Upper regularized incomplete gamma function Q(a, x), a > 0, x >= 0: series or continued fraction (Abramowitz and Stegun 6.5.29, 6.5.31). */
+/* Upper regularized incomplete gamma function Q(a, x), a > 0, x >= 0: series or continued fraction (Abramowitz and
+ * Stegun 6.5.29, 6.5.31). */
 double stats_gamma_q(double a, double x);
 
 /* Probability that a chi-square variable with k degrees of freedom exceeds x. */
@@ -18,13 +19,13 @@ double stats_normal_tail(double z);
 double stats_sidak(double level, int n);
 
 /*
- * Pearson's test that counts come from a distribution with these expected counts (same total; call it with a last cell for everything
- * else).  Cells with fewer than 5 expected are pooled with one another, in order of size.  Returns the p-value; *statistic and
- * *degrees may be NULL.  A count in a cell of no expectation gives 0.
+ * Pearson's test that counts come from a distribution with these expected counts (same total; call it with a last cell for
+ * everything else).  Cells with fewer than 5 expected are pooled with one another, in order of size.  Returns the p-value;
+ * *statistic and *degrees may be NULL.  A count in a cell of no expectation gives 0.
  */
 double stats_chi_square(const double *counts, const double *expected, size_t cells, double *statistic, int *degrees);
 
-/* Running mean and variance [Welford]. */
+/* Running mean and variance [welford1962note]. */
 typedef struct stats_mean {
     double n, mean, m2;
 } stats_mean;

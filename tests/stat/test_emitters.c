@@ -99,7 +99,7 @@ static void quads(void **state)
         lum_model *model = make_model();
         uint32_t dim = make_emitter(model, 120, 60, 30, both), bright = make_emitter(model, 2000, 2500, 3000, both);
         lmg_vec3 n = {0, 0.6, 0.8};
-        make_quad(model, (lmg_vec3){0.3, 0.1, 0.2}, (lmg_vec3){0.4, 0, 0}, (lmg_vec3){0, 0.4, -0.3}, 3, dim);   /* 0.2 m2 */
+        make_quad(model, (lmg_vec3){0.3, 0.1, 0.2}, (lmg_vec3){0.4, 0, 0}, (lmg_vec3){0, 0.4, -0.3}, 3, dim);       /* 0.2 m2 */
         make_quad(model, (lmg_vec3){-0.3, 0.1, 0.2}, (lmg_vec3){0.1, 0, 0}, (lmg_vec3){0, 0.08, -0.06}, 1, bright); /* 0.01 m2 */
         make_quad(model, (lmg_vec3){-1, -1, -1}, (lmg_vec3){1, 0, 0}, (lmg_vec3){0, 1, 0}, 1, make_lambert(model, 1));
         lum_emitters *e = emitters_of(model);
@@ -160,7 +160,8 @@ static void sphere(void **state)
             a[k] = v[1][k] - v[0][k];
             b[k] = v[2][k] - v[0][k];
         }
-        area += 0.5 * sqrt(pow(a[1] * b[2] - a[2] * b[1], 2) + pow(a[2] * b[0] - a[0] * b[2], 2) + pow(a[0] * b[1] - a[1] * b[0], 2));
+        area +=
+            0.5 * sqrt(pow(a[1] * b[2] - a[2] * b[1], 2) + pow(a[2] * b[0] - a[0] * b[2], 2) + pow(a[0] * b[1] - a[1] * b[0], 2));
     }
     NEAR(flux, PI * 1000 * area, 1e-6 * flux);
     NEAR(area, 4 * PI * 0.05 * 0.05, 2e-3 * area); /* the mesh's own facets: 1 - cos^2 of 1.5 degrees, twice */
@@ -179,7 +180,8 @@ static void punctual(void **state)
     (void)state;
     lum_model *model = make_model();
     make_lambert(model, 1);
-    add_light(model, (lum_light){.kind = LUM_LIGHT_POINT, .position = {1, 2, 3}, .direction = {0, 0, -1}, .intensity = {10, 20, 30}});
+    add_light(model,
+              (lum_light){.kind = LUM_LIGHT_POINT, .position = {1, 2, 3}, .direction = {0, 0, -1}, .intensity = {10, 20, 30}});
     lum_emitters *e = emitters_of(model);
     double y = lmg_luminance(model->lights[0].intensity), share[RINGS];
     NEAR(lum_emitters_flux(e, NULL), 4 * PI * y, 1e-9 * y);
@@ -225,7 +227,8 @@ static void punctual(void **state)
         }
         double m1 = 0, m2 = 0;
         for (int i = 0; i < STEPS; i++) {
-            double x = (i + 0.5) / STEPS, a = fmin(x * (1 - spot.cos_outer) / width, 1), w = 2 * PI * 50 * a * a * (1 - spot.cos_outer) / STEPS;
+            double x = (i + 0.5) / STEPS, a = fmin(x * (1 - spot.cos_outer) / width, 1),
+                   w = 2 * PI * 50 * a * a * (1 - spot.cos_outer) / STEPS;
             m1 += w * x / flux;
             m2 += w * x * x / flux;
         }
@@ -282,8 +285,9 @@ static void textured(void **state)
     }
 }
 
-/* Illuminance on the ground under a rectangle parallel to it, by next-event estimation, against its form factor; and the pdf of every
- * direction sampled against lum_emitters_point_pdf of the hit that it leads to, whose inverse integrates to the solid angle. */
+/* Illuminance on the ground under a rectangle parallel to it, by next-event estimation, against its form factor; and the pdf of
+ * every direction sampled against lum_emitters_point_pdf of the hit that it leads to, whose inverse integrates to the solid angle.
+ */
 static void next_event(void **state)
 {
     (void)state;
@@ -327,8 +331,8 @@ static void next_event(void **state)
         double pdf = lum_emitters_point_pdf(e, p, &hit);
         assert_true(fabs(pdf - s.pdf) < 2e-4 * s.pdf); /* hits keep off the edges by 4 errors, a fraction of the distance */
     }
-    print_message("illuminance %.4f +- %.4f (%.4f), solid angle %.5f (%.5f), %d beside the edge\n", illuminance.mean, stats_error(&illuminance),
-                  700 * PI * factor, solid.mean, omega, misses);
+    print_message("illuminance %.4f +- %.4f (%.4f), solid angle %.5f (%.5f), %d beside the edge\n", illuminance.mean,
+                  stats_error(&illuminance), 700 * PI * factor, solid.mean, omega, misses);
     assert_true(fabs(illuminance.mean - 700 * PI * factor) < 3 * stats_error(&illuminance));
     assert_true(fabs(solid.mean - omega) < 3 * stats_error(&solid));
     assert_true(misses < 20);
@@ -349,8 +353,12 @@ static void next_event_punctual(void **state)
     make_quad(model, (lmg_vec3){-1, -1, 0}, (lmg_vec3){2, 0, 0}, (lmg_vec3){0, 2, 0}, 1, make_lambert(model, 1));
     add_light(model, (lum_light){.kind = LUM_LIGHT_POINT, .position = {0, 0, 2}, .intensity = {8, 8, 8}});
     add_light(model, (lum_light){.kind = LUM_LIGHT_DIRECTIONAL, .direction = {0, 0.6, -0.8}, .intensity = {3, 3, 3}});
-    add_light(model, (lum_light){.kind = LUM_LIGHT_SPOT, .position = {0, 0, 1}, .direction = {0, 0, -1}, .intensity = {5, 5, 5},
-                                 .cos_inner = 0.9, .cos_outer = 0.8});
+    add_light(model, (lum_light){.kind = LUM_LIGHT_SPOT,
+                                 .position = {0, 0, 1},
+                                 .direction = {0, 0, -1},
+                                 .intensity = {5, 5, 5},
+                                 .cos_inner = 0.9,
+                                 .cos_outer = 0.8});
     add_light(model, (lum_light){.kind = LUM_LIGHT_POINT, .position = {0, 0, 3}, .intensity = {0, 0, 0}});
     lum_emitters *e = emitters_of(model);
     lum_rng rng = lum_rng_stream(95, 0);
@@ -390,8 +398,9 @@ static void nothing_shines(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(quads),    cmocka_unit_test(sphere),     cmocka_unit_test(punctual),           cmocka_unit_test(textured),
-        cmocka_unit_test(next_event), cmocka_unit_test(next_event_punctual), cmocka_unit_test(nothing_shines),
+        cmocka_unit_test(quads),          cmocka_unit_test(sphere),     cmocka_unit_test(punctual),
+        cmocka_unit_test(textured),       cmocka_unit_test(next_event), cmocka_unit_test(next_event_punctual),
+        cmocka_unit_test(nothing_shines),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

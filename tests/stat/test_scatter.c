@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Scattering at surfaces: samples against densities (chi-square), weights against quadrature of the density, energy, reciprocity, tilted
- * shading normals.  Densities are integrated on two polar grids, one about the mirror direction for the side of the light, one about the
- * refracted direction for the other side, with rings that follow the width of the lobe; odd numbers of cells, so that their edges avoid
- * symmetry planes.
+ * Scattering at surfaces: samples against densities (chi-square), weights against quadrature of the density, energy, reciprocity,
+ * tilted shading normals.  Densities are integrated on two polar grids, one about the mirror direction for the side of the light,
+ * one about the refracted direction for the other side, with rings that follow the width of the lobe; odd numbers of cells, so that
+ * their edges avoid symmetry planes.
  */
 #include "../../luminaires/src/microfacet.h"
 #include "../unit/make_model.h"
@@ -47,7 +47,8 @@ static lmg_vec3 unit(lmg_vec3 a)
     return v3(a.x / l, a.y / l, a.z / l);
 }
 
-/* A polar grid: rings at theta = pi (e^(g x) - 1) / (e^g - 1), x = i / RINGS; g makes the first ring a fraction of the lobe's width. */
+/* A polar grid: rings at theta = pi (e^(g x) - 1) / (e^g - 1), x = i / RINGS; g makes the first ring a fraction of the lobe's
+ * width. */
 typedef struct grid {
     lmg_vec3 x, y, z;
     double g;
@@ -94,12 +95,13 @@ static lmg_vec3 direction(const grid *g, double theta, double phi)
     return v3(x * g->x.x + y * g->y.x + z * g->z.x, x * g->x.y + y * g->y.y + z * g->z.y, x * g->x.z + y * g->y.z + z * g->z.z);
 }
 
-/* Three-point Gauss-Legendre in each direction over [x0,x1] x [y0,y1] of the grid's (ring, turn) plane, cut in n x n parts; directions on
- * the wrong side of the surface count zero.  Parts that the horizon crosses are cut again, EDGE times. */
-static void integrate_patch(const lum_surface *s, lmg_vec3 wi, float eta, const grid *g, lmg_vec3 up, double x0, double x1, double y0,
-                            double y1, int n, int deeper, double *pdf_sum, double p_sum[3])
+/* Three-point Gauss-Legendre in each direction over [x0,x1] x [y0,y1] of the grid's (ring, turn) plane, cut in n x n parts;
+ * directions on the wrong side of the surface count zero.  Parts that the horizon crosses are cut again, EDGE times. */
+static void integrate_patch(const lum_surface *s, lmg_vec3 wi, float eta, const grid *g, lmg_vec3 up, double x0, double x1,
+                            double y0, double y1, int n, int deeper, double *pdf_sum, double p_sum[3])
 {
-    static const double node[3] = {0.5 - 0.3872983346207417, 0.5, 0.5 + 0.3872983346207417}, weight[3] = {5.0 / 18, 8.0 / 18, 5.0 / 18};
+    static const double node[3] = {0.5 - 0.3872983346207417, 0.5, 0.5 + 0.3872983346207417},
+                        weight[3] = {5.0 / 18, 8.0 / 18, 5.0 / 18};
     for (int part = 0; part < n * n; part++) {
         double xa = x0 + (x1 - x0) * (part / n) / n, xb = x0 + (x1 - x0) * (part / n + 1) / n;
         double ya = y0 + (y1 - y0) * (part % n) / n, yb = y0 + (y1 - y0) * (part % n + 1) / n;
@@ -144,8 +146,8 @@ static void integrate(const lum_surface *s, lmg_vec3 wi, float eta, const grid g
         for (int i = 0; i < HALF; i++) {
             int ring = i / SECTORS, sector = i % SECTORS;
             double *pdf = &out->pdf[half * HALF + i];
-            integrate_patch(s, wi, eta, &grids[half], up, (double)ring / RINGS, (ring + 1.0) / RINGS, (double)sector / SECTORS - 0.5,
-                            (sector + 1.0) / SECTORS - 0.5, fine, EDGE - 2, pdf, out->p);
+            integrate_patch(s, wi, eta, &grids[half], up, (double)ring / RINGS, (ring + 1.0) / RINGS,
+                            (double)sector / SECTORS - 0.5, (sector + 1.0) / SECTORS - 0.5, fine, EDGE - 2, pdf, out->p);
             out->total += *pdf;
         }
     }
@@ -153,10 +155,10 @@ static void integrate(const lum_surface *s, lmg_vec3 wi, float eta, const grid g
 
 typedef struct sampled {
     double counts[CELLS + 1]; /* the last: delta */
-    stats_mean weight[3];      /* of what isn't delta */
-    double all[3];             /* mean weight of everything */
-    double largest;            /* weight */
-    double leaks;              /* reflected below, transmitted above */
+    stats_mean weight[3];     /* of what isn't delta */
+    double all[3];            /* mean weight of everything */
+    double largest;           /* weight */
+    double leaks;             /* reflected below, transmitted above */
 } sampled;
 
 static void draw(const lum_surface *s, lmg_vec3 wi, float eta, const grid grids[2], int samples, uint64_t seed, sampled *out)
@@ -352,15 +354,15 @@ static lmg_vec3 refracted(lmg_vec3 wi, lmg_vec3 n, double step)
     return unit(v3(k * n.x - wi.x / step, k * n.y - wi.y / step, k * n.z - wi.z / step));
 }
 
-/* What interpolation and quadrature of the albedo tables may be off by (tables_are_accurate): samples follow the true albedo, densities the
- * table. */
+/* What interpolation and quadrature of the albedo tables may be off by (tables_are_accurate): samples follow the true albedo,
+ * densities the table. */
 static const double TABLE = 1e-3;
 
 typedef struct tally {
     int tests;
-    double lowest;       /* p-value of the chi-square tests */
-    double worst_total;  /* |integral of the pdf + delta - 1| */
-    double worst_z;      /* of the mean weights */
+    double lowest;      /* p-value of the chi-square tests */
+    double worst_total; /* |integral of the pdf + delta - 1| */
+    double worst_z;     /* of the mean weights */
     char where[200];
 } tally;
 
@@ -374,13 +376,16 @@ static void compare(const char *name, const lum_surface *s, lmg_vec3 wi, float e
     }
     /* Lobes at grazing incidence are narrower across the plane of incidence, by the cosine. */
     double cosine = fabs(dot(wi, s->ng)), width = fmax((double)s->alpha * cosine, 2e-5), side = dot(wi, s->ng) >= 0 ? 1 : -1;
-    double step = s->material->thin ? 1 : side > 0 ? (double)s->material->ior / (double)eta : (double)eta / (double)s->material->ior;
+    double step = s->material->thin ? 1
+                  : side > 0        ? (double)s->material->ior / (double)eta
+                                    : (double)eta / (double)s->material->ior;
     lmg_vec3 normal = s->tilted ? s->ns : s->ng, mirror = reflected(wi, normal), through = refracted(wi, normal, step);
     if (dot(wi, normal) * side <= 0) {
         mirror = reflected(wi, s->ng);
         through = refracted(wi, s->ng, step);
     }
-    if (dot(mirror, s->ng) * side < 0) { /* what points below the surface is mirrored at it, and so is what doesn't when it should */
+    if (dot(mirror, s->ng) * side <
+        0) { /* what points below the surface is mirrored at it, and so is what doesn't when it should */
         mirror = flipped(mirror, s->ng);
     }
     if (dot(through, s->ng) * side > 0) {
@@ -421,7 +426,6 @@ static void compare(const char *name, const lum_surface *s, lmg_vec3 wi, float e
     assert_true(n.largest <= 1);
 }
 
-
 static void samples_follow_densities(void **state)
 {
     (void)state;
@@ -449,8 +453,8 @@ static void samples_follow_densities(void **state)
             }
         }
     }
-    print_message("%d comparisons: smallest p %.2e (%s); worst total %.2f of what is allowed, worst weight %.2f se\n", t.tests, t.lowest,
-                  t.where, t.worst_total, t.worst_z);
+    print_message("%d comparisons: smallest p %.2e (%s); worst total %.2f of what is allowed, worst weight %.2f se\n", t.tests,
+                  t.lowest, t.where, t.worst_total, t.worst_z);
     assert_true(t.lowest > stats_sidak(0.01, t.tests));
     assert_true(t.worst_total <= 1);
     assert_true(t.worst_z < 4.5); /* 3 weights in each of some 250 comparisons: 5e-3 by chance */
@@ -473,16 +477,17 @@ static void tilted_normals(void **state)
                     char name[200];
                     bool behind = k & 1;
                     lmg_vec3 wi = incoming(DEGREES[a], behind);
-                    lum_surface s = surface_of(scene, 2 * (uint32_t)(i * ROUGHNESS_COUNT + r), v3(-wi.x, -wi.y, -wi.z), &tilts[k / 2]);
-                    snprintf(name, sizeof name, "%s, roughness %g, %g degrees%s, tilt %d", CASES[i].name, (double)ROUGHNESS[r], DEGREES[a],
-                             behind ? " from behind" : "", k / 2);
+                    lum_surface s =
+                        surface_of(scene, 2 * (uint32_t)(i * ROUGHNESS_COUNT + r), v3(-wi.x, -wi.y, -wi.z), &tilts[k / 2]);
+                    snprintf(name, sizeof name, "%s, roughness %g, %g degrees%s, tilt %d", CASES[i].name, (double)ROUGHNESS[r],
+                             DEGREES[a], behind ? " from behind" : "", k / 2);
                     compare(name, &s, wi, 1, 9000 + (uint64_t)t.tests, TABLE, &t);
                 }
             }
         }
     }
-    print_message("%d comparisons: smallest p %.2e (%s); worst total %.2f of what is allowed, worst weight %.2f se\n", t.tests, t.lowest,
-                  t.where, t.worst_total, t.worst_z);
+    print_message("%d comparisons: smallest p %.2e (%s); worst total %.2f of what is allowed, worst weight %.2f se\n", t.tests,
+                  t.lowest, t.where, t.worst_total, t.worst_z);
     assert_true(t.lowest > stats_sidak(0.01, t.tests));
     assert_true(t.worst_total <= 1);
     assert_true(t.worst_z < 4.5);
@@ -519,8 +524,9 @@ static void reciprocity(void **state)
             }
             for (int c = 0; c < 3; c++) {
                 double a = (double)f[0][c] / fabs(w[1].z) / n2[0], b = (double)f[1][c] / fabs(w[0].z) / n2[1];
-                /* p is returned in float; a smooth coat has its exact reflectance for the light that enters and the interpolated one of
-                 * its table for the light that leaves: up to 2e-3 of 1 - E, more where 1 - E itself is small near grazing. */
+                /* p is returned in float; a smooth coat has its exact reflectance for the light that enters and the interpolated
+                 * one of its table for the light that leaves: up to 2e-3 of 1 - E, more where 1 - E itself is small near grazing.
+                 */
                 bool smooth_coat = material->kind == LUM_SURFACE_PBR && material->roughness * material->roughness < LUM_SMOOTH;
                 double tolerance = smooth_coat ? 0.02 : 4e-7;
                 if (smooth_coat && (fabs(w[0].z) < 0.05 || fabs(w[1].z) < 0.05)) {
@@ -563,8 +569,9 @@ static void tables_are_accurate(void **state)
                 }
             }
             print_message("%s, table %d: off by at most %.1e\n", which ? "one roughness" : "all roughnesses", k, worst);
-            /* One roughness: what TABLE says.  Over roughness the error of linear interpolation comes on top, h^2 / 8 times the second
-             * derivative, which is about 10 where the roughness is low and the incidence grazing: (1/24)^2 / 8 * 10 = 2e-3. */
+            /* One roughness: what TABLE says.  Over roughness the error of linear interpolation comes on top, h^2 / 8 times the
+             * second derivative, which is about 10 where the roughness is low and the incidence grazing: (1/24)^2 / 8 * 10 = 2e-3.
+             */
             assert_true(worst < (which ? TABLE : 4e-3));
         }
     }

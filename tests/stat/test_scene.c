@@ -194,7 +194,8 @@ static void agrees_with_all_triangles(void **state)
         uint32_t which = 0;
         lum_hit hit;
         bool a = closest(model, o, d, &t, &which), b = lum_scene_intersect(scene, o, d, &hit);
-        /* Rays within a rounding of an outline or edge may go either way: about 1e-7 of lengths, times the outlines in the picture. */
+        /* Rays within a rounding of an outline or edge may go either way: about 1e-7 of lengths, times the outlines in the picture.
+         */
         if (a != b || (a && which != hit.triangle)) {
             differ++;
             continue;
@@ -257,8 +258,12 @@ static void nothing_to_hit(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(agrees_with_all_triangles),  cmocka_unit_test(floating_point_traps_survive), cmocka_unit_test(nothing_to_hit),
-        cmocka_unit_test(closed_boxes_keep_light),    cmocka_unit_test(closed_spheres_keep_light),    cmocka_unit_test(thin_shells_hold),
+        cmocka_unit_test(agrees_with_all_triangles),
+        cmocka_unit_test(floating_point_traps_survive),
+        cmocka_unit_test(nothing_to_hit),
+        cmocka_unit_test(closed_boxes_keep_light),
+        cmocka_unit_test(closed_spheres_keep_light),
+        cmocka_unit_test(thin_shells_hold),
         cmocka_unit_test(acute_edges_hold),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -73,7 +73,8 @@ static void clear_slab(void **state)
                 sum += end.z < 0;
             }
             double mean = sum / PHOTONS, se = sqrt(mean * (1 - mean) / PHOTONS);
-            print_message("%s, %2.0f degrees: %.4f +- %.4f (%.4f)\n", thin ? "thin wall" : "slab", DEGREES[a], mean, se, TRANSMITTANCE[a]);
+            print_message("%s, %2.0f degrees: %.4f +- %.4f (%.4f)\n", thin ? "thin wall" : "slab", DEGREES[a], mean, se,
+                          TRANSMITTANCE[a]);
             assert_true(fabs(mean - TRANSMITTANCE[a]) < 3 * se + 0.5e-4); /* the last printed digit */
             assert_true(fabs(mean - TRANSMITTANCE[a]) < fmax(2e-3, 3 * se));
         }
@@ -83,9 +84,9 @@ static void clear_slab(void **state)
     }
 }
 
-/* Two plates at 60 degrees to the beam, the second turned by an angle about it: what is s for the first is a mixture of s and p for the
- * second (Malus).  With Ts, Tp of one plate, light that passes both without reflections between the plates:
- * T = (Ts^2 + Tp^2)/2 cos^2 + Ts Tp sin^2. */
+/* Two plates at 60 degrees to the beam, the second turned by an angle about it: what is s for the first is a mixture of s and p for
+ * the second (Malus).  With Ts, Tp of one plate, light that passes both without reflections between the plates: T = (Ts^2 + Tp^2)/2
+ * cos^2 + Ts Tp sin^2. */
 static void crossed_plates(void **state)
 {
     (void)state;

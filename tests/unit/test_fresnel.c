@@ -60,7 +60,8 @@ static void conductor_limits(void **state)
     for (int j = 1; j < 90; j++) {
         double c = cos(j * PI / 180);
         NEAR(lum_fresnel_conductor(c, 1.52, 0), lum_fresnel_dielectric(c, 1.52), 10 * ROUNDING);
-        NEAR(lum_fresnel_conductor(c, 1 / 1.52, 0), lum_fresnel_dielectric(c, 1 / 1.52), 1e-7); /* square root of a rounding beyond it */
+        NEAR(lum_fresnel_conductor(c, 1 / 1.52, 0), lum_fresnel_dielectric(c, 1 / 1.52),
+             1e-7); /* square root of a rounding beyond it */
     }
 }
 

@@ -15,25 +15,26 @@ typedef struct lum_scene lum_scene;
 lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *err);
 void lum_scene_destroy(lum_scene *scene);
 
-/* To be called by every thread around its tracing: sets flush-to-zero and denormals-are-zero and masks floating-point traps, which Embree
- * asks for, and gives back what was set before.  Results are the same bits on all threads only if all threads do it. */
+/* To be called by every thread around its tracing: sets flush-to-zero and denormals-are-zero and masks floating-point traps, which
+ * Embree asks for, and gives back what was set before.  Results are the same bits on all threads only if all threads do it. */
 unsigned lum_thread_begin(void);
 void lum_thread_end(unsigned saved);
 
 /* Coordinates here are relative to model->centre (small numbers), metres. */
 typedef struct lum_hit {
-    double t;              /* distance along the ray */
-    lmg_vec3 position;     /* from the barycentrics, not origin + t d */
-    lmg_vec3 ng;           /* unit geometric normal, towards the triangle's front (counter-clockwise) side */
-    float b1, b2;          /* barycentrics of vertices 1 and 2 */
+    double t;          /* distance along the ray */
+    lmg_vec3 position; /* from the barycentrics, not origin + t d */
+    lmg_vec3 ng;       /* unit geometric normal, towards the triangle's front (counter-clockwise) side */
+    float b1, b2;      /* barycentrics of vertices 1 and 2 */
     uint32_t triangle;
-    double error;          /* bound of the position's rounding error, metres: offset new origins along +-ng by this */
+    double error; /* bound of the position's rounding error, metres: offset new origins along +-ng by this */
 } lum_hit;
 
 /* Closest hit with t > 0.  direction: unit.  Thread-safe. */
 bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit *hit);
 
-/* Whether something lies on the segment origin + t direction, 0 < t < distance.  Ignores alpha: see lum_scene_transmittance users. */
+/* Whether something lies on the segment origin + t direction, 0 < t < distance.  Ignores alpha: see lum_scene_transmittance users.
+ */
 bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance);
 
 /* Origin for a ray that leaves a hit in direction d: the hit's position moved off the surface, to the side d points to. */
@@ -44,8 +45,8 @@ static inline lmg_vec3 lum_offset(const lum_hit *hit, lmg_vec3 d)
     return p;
 }
 
-/* Rays per second that Embree alone reaches: traces count rays (origin, direction as 6 floats each) with rtcIntersect1 on this thread and
- * returns the number of hits; for the benchmark. */
+/* Rays per second that Embree alone reaches: traces count rays (origin, direction as 6 floats each) with rtcIntersect1 on this
+ * thread and returns the number of hits; for the benchmark. */
 uint64_t lum_scene_trace_raw(const lum_scene *scene, const float *rays, size_t count);
 
 #ifdef __cplusplus
