@@ -103,7 +103,12 @@ static lmg_result measure(const command *c, const lmg_field *field, const double
     if (!normalise(&direction))
         return lmg_fail(err, LMG_ERROR_INPUT, "the %s has no length", c->mode->key == KEY_POINTS ? "normal" : "direction");
     lmg_result result = LMG_OK;
+    const lmg_vec3 lo = lmg_field_layout(field)->bounds_min, hi = lmg_field_layout(field)->bounds_max;
     if (c->mode->key == KEY_POINTS) {
+        if (first.x > lo.x && first.x < hi.x && first.y > lo.y && first.y < hi.y && first.z > lo.z && first.z < hi.z)
+            return lmg_fail(err, LMG_ERROR_INPUT,
+                            "the point is inside the luminaire (%g %g %g to %g %g %g m); a box holds the light outside it", lo.x, lo.y, lo.z,
+                            hi.x, hi.y, hi.z);
         result = lmg_field_illuminance(field, first, direction, out->rgb, &out->standard_error, err);
     } else if (c->mode->key == KEY_INTENSITY) {
         result = lmg_field_intensity(field, direction, out->rgb, &out->standard_error, err);

@@ -1,0 +1,206 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * How fast the photon tracer is against Embree alone on the same ray segments, in one run.
+ *
+ * For each lamp: record a few million of its ray segments; then, several times in turn, so that a busy machine disturbs both alike:
+ * Embree alone (rtcIntersect1 on the recorded segments, no use made of the hits), the tracer without sinks, the tracer into an
+ * accumulator with the layout of a default bake.  The best of the turns counts.  One thread each, and all cores.
+ *
+ *     test_bench_tracer [--json] [LAMP.gltf ...]       default: the four sample lamps
+ *
+ * A lamp's recipe is read when LAMP.recipe.json lies beside it.
+ */
+#include "bake.h"
+#include "parallel.h"
+#include "tracer.h"
+
+#include <luminaires/model.h>
+#include <luminaires/scene.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+enum { SEGMENTS = 1000000, TURNS = 5 };
+
+typedef struct figures {
+    double segments_per_photon;
+    double embree, bare, baking;        /* ray segments per second */
+    double bare_photons, baking_photons;/* photons per second */
+} figures;
+
+static void die(const lmg_error *err)
+{
+    fprintf(stderr, "error: %s\n", err->message);
+    exit(3);
+}
+
+typedef struct raw_work {
+    const lum_scene *scene;
+    const float *rays;
+    size_t count;
+} raw_work;
+
+static void *raw_begin(void *self)
+{
+    return self;
+}
+
+/* A chunk of numbers stands for as many segments. */
+static void raw_chunk(void *self, void *state, uint64_t first, uint64_t count)
+{
+    (void)state;
+    const raw_work *w = self;
+    lum_scene_trace_raw(w->scene, w->rays + 6 * first, count);
+}
+
+static void raw_end(void *self, void *state)
+{
+    (void)self;
+    (void)state;
+}
+
+static double best(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+static lmg_layout fit_layout(bake_source *tracer, unsigned threads)
+{
+    lmg_error err;
+    bake_ray_list *list;
+    if (bake_ray_list_create(200000, &list, &err) != LMG_OK)
+        die(&err);
+    const lmg_sink sink = bake_ray_list_sink(list);
+    bake_tally tally = {0};
+    if (tracer->run(tracer, BAKE_PILOT_FIRST, 200000, threads, &sink, 1, &tally, &err) != LMG_OK)
+        die(&err);
+    size_t count;
+    const lmg_ray *rays = bake_ray_list_sorted(list, &count);
+    lmg_layout layout;
+    const lmg_fit_options fit = {.struct_size = sizeof(fit), .bounds_min = tracer->bounds_min, .bounds_max = tracer->bounds_max};
+    if (lmg_layout_fit(rays, count, &fit, &layout, NULL, &err) != LMG_OK)
+        die(&err);
+    bake_ray_list_destroy(list);
+    return layout;
+}
+
+static figures measure(bake_source *tracer, const float *rays, size_t segments, uint64_t photons, const lmg_layout *layout,
+                       unsigned threads)
+{
+    lmg_error err;
+    figures f = {0};
+    lmg_accumulator *accumulator;
+    if (lmg_accumulator_create(layout, &accumulator, &err) != LMG_OK)
+        die(&err);
+    const lmg_sink sink = lmg_accumulator_sink(accumulator);
+    for (int turn = 0; turn < TURNS; ++turn) {
+        raw_work raw = {bake_tracer_scene(tracer), rays, segments};
+        const bake_work work = {.self = &raw, .begin = raw_begin, .chunk = raw_chunk, .end = raw_end};
+        double began = bake_clock();
+        if (bake_parallel(&work, 0, segments, threads, &err) != LMG_OK)
+            die(&err);
+        f.embree = best(f.embree, (double)segments / (bake_clock() - began));
+
+        bake_tally bare = {0}, baking = {0};
+        began = bake_clock();
+        if (tracer->run(tracer, 0, photons, threads, NULL, 0, &bare, &err) != LMG_OK)
+            die(&err);
+        double seconds = bake_clock() - began;
+        f.bare = best(f.bare, (double)bare.segments / seconds);
+        f.bare_photons = best(f.bare_photons, (double)photons / seconds);
+        f.segments_per_photon = (double)bare.segments / (double)photons;
+
+        began = bake_clock();
+        if (tracer->run(tracer, (uint64_t)turn * photons, photons, threads, &sink, 1, &baking, &err) != LMG_OK)
+            die(&err);
+        seconds = bake_clock() - began;
+        f.baking = best(f.baking, (double)baking.segments / seconds);
+        f.baking_photons = best(f.baking_photons, (double)photons / seconds);
+    }
+    lmg_accumulator_destroy(accumulator);
+    return f;
+}
+
+static void print_figures(const char *name, uint32_t triangles, unsigned threads, const figures *f, bool json, bool first)
+{
+    if (json) {
+        printf("%s\n    {\"lamp\": \"%s\", \"triangles\": %u, \"threads\": %u, \"segments_per_photon\": %.4g, \"embree_rays_per_s\": %.5g, "
+               "\"tracer_rays_per_s\": %.5g, \"baking_rays_per_s\": %.5g, \"baking_photons_per_s\": %.5g, \"tracer_ratio\": %.4f, "
+               "\"baking_ratio\": %.4f, \"deposit_share\": %.4f}",
+               first ? "" : ",", name, triangles, threads, f->segments_per_photon, f->embree, f->bare, f->baking, f->baking_photons,
+               f->bare / f->embree, f->baking / f->embree, 1 - f->baking / f->bare);
+        return;
+    }
+    printf("%-18s %8u %7u %8.2f %9.2f %9.2f %9.2f %9.2f %8.0f %% %8.0f %% %7.0f %%\n", name, triangles, threads, f->segments_per_photon,
+           1e-6 * f->embree, 1e-6 * f->bare, 1e-6 * f->baking, 1e-6 * f->baking_photons, 100 * f->bare / f->embree,
+           100 * f->baking / f->embree, 100 * (1 - f->baking / f->bare));
+    fflush(stdout);
+}
+
+static void bench_lamp(const char *path, bool json, bool *first)
+{
+    lmg_error err;
+    char recipe_path[1100], name[64];
+    const char *slash = strrchr(path, '/'), *dot = strrchr(path, '.');
+    snprintf(recipe_path, sizeof(recipe_path), "%.*s.recipe.json", (int)(dot ? dot - path : (long)strlen(path)), path);
+    snprintf(name, sizeof(name), "%.*s", (int)(dot && slash ? dot - slash - 1 : 60), slash ? slash + 1 : path);
+    lum_recipe *recipe = NULL;
+    if (access(recipe_path, R_OK) == 0 && lum_recipe_read(recipe_path, &recipe, &err) != LMG_OK)
+        die(&err);
+    lum_model *model;
+    if (lum_model_load(path, recipe, &model, &err) != LMG_OK)
+        die(&err);
+    lum_recipe_destroy(recipe);
+    bake_source *tracer;
+    if (bake_tracer_create(model, 1, &tracer, &err) != LMG_OK)
+        die(&err);
+    float *rays = malloc((size_t)SEGMENTS * 6 * sizeof(*rays));
+    if (!rays)
+        exit(1);
+    const size_t segments = bake_tracer_record(tracer, 0, SEGMENTS, rays, SEGMENTS);
+    const lmg_layout layout = fit_layout(tracer, 0);
+    const unsigned cores = bake_thread_count(0);
+    for (unsigned threads = 1;; threads = cores) {
+        /* as many photons as make as many segments: both sides then work for about as long */
+        bake_tally tally = {0};
+        if (tracer->run(tracer, 0, 10000, 1, NULL, 0, &tally, &err) != LMG_OK)
+            die(&err);
+        const uint64_t photons = (uint64_t)((double)segments * 10000 / (double)tally.segments);
+        const figures f = measure(tracer, rays, segments, photons, &layout, threads);
+        print_figures(name, model->triangle_count, threads, &f, json, *first);
+        *first = false;
+        if (threads == cores)
+            break;
+    }
+    free(rays);
+    tracer->destroy(tracer);
+    lum_model_destroy(model);
+}
+
+int main(int argc, char **argv)
+{
+    const bool json = argc > 1 && !strcmp(argv[1], "--json");
+    bool first = true;
+    if (json)
+        printf("{\"format\": \"lumibox bench tracer 1\", \"results\": [");
+    else
+        printf("                                     segments  M segments/s                M photons/s   of Embree alone\n"
+               "lamp              triangles threads  /photon    Embree    tracer    baking    baking    tracer     baking deposit\n");
+    if (argc > 1 + json) {
+        for (int i = 1 + json; i < argc; ++i)
+            bench_lamp(argv[i], json, &first);
+    } else {
+        static const char *const LAMPS[] = {"paraboloid-spot", "opal-globe", "louvred-panel", "glass-lens"};
+        for (int i = 0; i < 4; ++i) {
+            char path[1024];
+            snprintf(path, sizeof(path), "%s/models/%s/%s.gltf", LUMIBOX_BINARY_DIR, LAMPS[i], LAMPS[i]);
+            bench_lamp(path, json, &first);
+        }
+    }
+    if (json)
+        printf("\n]}\n");
+    return 0;
+}

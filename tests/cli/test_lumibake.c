@@ -1,0 +1,653 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * The program lumibake as a user meets it: exit codes, messages, files left behind, Ctrl-C, the same bytes for any number of threads,
+ * tables of numbers, and bad input of every kind, which must end in one line that begins with "error:".
+ */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <jansson.h>
+
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <signal.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <time.h>
+#include <unistd.h>
+
+static char folder[1024];
+static char lamp[1100];  /* a sample lamp */
+static char box[1100];   /* and its box, baked by setup */
+
+enum { MAX_TEXT = 1 << 20, KILLED = 1000 };
+
+typedef struct outcome {
+    int code; /* exit code; KILLED + signal */
+    char *out, *err;
+} outcome;
+
+static char *slurp(const char *path, size_t *size)
+{
+    FILE *f = fopen(path, "rb");
+    if (!f)
+        return NULL;
+    fseek(f, 0, SEEK_END);
+    const long n = ftell(f);
+    rewind(f);
+    char *text = malloc((size_t)n + 1);
+    assert_non_null(text);
+    assert_int_equal(fread(text, 1, (size_t)n, f), n);
+    text[n] = 0;
+    fclose(f);
+    if (size)
+        *size = (size_t)n;
+    return text;
+}
+
+static void write_file(const char *path, const void *bytes, size_t size)
+{
+    FILE *f = fopen(path, "wb");
+    assert_non_null(f);
+    assert_int_equal(fwrite(bytes, 1, size, f), size);
+    fclose(f);
+}
+
+static const char *in_folder(const char *name)
+{
+    static char paths[8][1200];
+    static int turn;
+    char *path = paths[turn++ % 8];
+    snprintf(path, sizeof(paths[0]), "%s/%s", folder, name);
+    return path;
+}
+
+static pid_t start(const char *const *args)
+{
+    char *argv[32] = {(char *)(uintptr_t)LUMIBAKE};
+    int n = 1;
+    for (; args[n - 1]; ++n) {
+        assert_true(n < 31);
+        argv[n] = (char *)(uintptr_t)args[n - 1];
+    }
+    const char *out = in_folder("stdout"), *err = in_folder("stderr");
+    fflush(NULL);
+    const pid_t pid = fork();
+    assert_true(pid >= 0);
+    if (pid == 0) {
+        const int o = open(out, O_WRONLY | O_CREAT | O_TRUNC, 0666), e = open(err, O_WRONLY | O_CREAT | O_TRUNC, 0666);
+        const int i = open(in_folder("stdin"), O_RDONLY | O_CREAT, 0666);
+        dup2(i, 0);
+        dup2(o, 1);
+        dup2(e, 2);
+        alarm(240); /* a hang is a failure */
+        execv(argv[0], argv);
+        _exit(127);
+    }
+    return pid;
+}
+
+static outcome finish(pid_t pid)
+{
+    int status;
+    while (waitpid(pid, &status, 0) < 0)
+        assert_int_equal(errno, EINTR);
+    outcome o = {.code = WIFEXITED(status) ? WEXITSTATUS(status) : KILLED + WTERMSIG(status)};
+    o.out = slurp(in_folder("stdout"), NULL);
+    o.err = slurp(in_folder("stderr"), NULL);
+    assert_true(o.out && o.err);
+    return o;
+}
+
+static outcome run_args(const char *const *args)
+{
+    return finish(start(args));
+}
+#define RUN(...) run_args((const char *const[]){__VA_ARGS__, NULL})
+
+static void release(outcome *o)
+{
+    free(o->out);
+    free(o->err);
+}
+
+/* Lines of text that begin with `start`. */
+static int lines_with(const char *text, const char *start)
+{
+    int n = 0;
+    for (const char *line = text; *line;) {
+        n += !strncmp(line, start, strlen(start));
+        line += strcspn(line, "\n");
+        line += *line == '\n';
+    }
+    return n;
+}
+
+static int lines_of(const char *text)
+{
+    return lines_with(text, "");
+}
+
+static void expect(int line, outcome o, int code, const char *message)
+{
+    if (o.code != code || !strstr(o.err, message))
+        fail_msg("line %d: exit code %d, expected %d and \"%s\" in: %s", line, o.code, code, message, o.err);
+    if (lines_with(o.err, "error:") != 1)
+        fail_msg("line %d: not one error line: %s", line, o.err);
+    release(&o);
+}
+#define EXPECT(run, code, message) expect(__LINE__, run, code, message)
+
+/* ------------------------------------------------------------------------------------------------------ usage and help */
+
+static void test_help(void **state)
+{
+    (void)state;
+    static const char *const COMMANDS[] = {"bake", "info", "probe", "compare"};
+    outcome o = RUN("--help");
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "Example"));
+    for (int i = 0; i < 4; ++i)
+        assert_non_null(strstr(o.out, COMMANDS[i]));
+    release(&o);
+    for (int i = 0; i < 4; ++i) {
+        o = RUN(COMMANDS[i], "--help");
+        assert_int_equal(o.code, 0);
+        assert_non_null(strstr(o.out, "Example:"));
+        assert_true(lines_of(o.out) <= 50); /* a screen */
+        for (const char *line = o.out; *line; line += strcspn(line, "\n"), line += *line == '\n')
+            assert_true(strcspn(line, "\n") <= 80);
+        release(&o);
+    }
+    o = RUN("--version");
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "lumibake"));
+    assert_non_null(strstr(o.out, "Embree"));
+    assert_non_null(strstr(o.out, "OpenEXR"));
+    release(&o);
+}
+
+static void test_usage_errors(void **state)
+{
+    (void)state;
+    EXPECT(RUN("cook"), 2, "cook");
+    EXPECT(RUN("bake"), 2, "which lamp");
+    EXPECT(RUN("bake", lamp), 2, "-o");
+    EXPECT(RUN("bake", lamp, lamp, "-o", "x.exr"), 2, "one lamp");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--time", "60s", "--photons", "1e6"), 2, "exclude");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--flux", "60s"), 2, "60s");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--flux", "-3lm"), 2, "-3lm");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--flux", "nan"), 2, "nan");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--time", "soon"), 2, "soon");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--photons", "0"), 2, "--photons");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--photons", "1.5"), 2, "1.5");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--photons", "-5"), 2, "-5");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--threads", "0"), 2, "--threads");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--layout", "sphere"), 2, "sphere");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--resolution", "8,8,8"), 2, "8,8,8");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--recipe", "r.json", "--no-recipe"), 2, "exclude");
+    EXPECT(RUN("probe", box), 2, "--points");
+    EXPECT(RUN("probe", box, "--points", "-", "--rays", "-"), 2, "at a time");
+    EXPECT(RUN("probe", box, "--points", "-", "--linear"), 2, "--rays");
+    EXPECT(RUN("compare", box), 2, "two files");
+    EXPECT(RUN("compare", box, box, "--distances", "1,,2"), 2, "1,,2");
+    EXPECT(RUN("compare", box, box, "--distances", "0"), 2, "0");
+    outcome o = RUN("bake", "--no-such-option"); /* argp's own message */
+    assert_int_equal(o.code, 2);
+    release(&o);
+    o = RUN("--help", "me");
+    assert_int_equal(o.code, 0);
+    release(&o);
+}
+
+static void test_missing_files(void **state)
+{
+    (void)state;
+    EXPECT(RUN("bake", "/no/such/lamp.gltf", "-o", in_folder("x.exr")), 3, "lamp.gltf");
+    EXPECT(RUN("bake", lamp, "-o", "/no/such/folder/x.exr"), 1, "folder");
+    EXPECT(RUN("bake", lamp, "-o", folder), 1, "directory");
+    EXPECT(RUN("bake", lamp, "-o", lamp), 1, "overwrite");
+    EXPECT(RUN("bake", lamp, "-o", in_folder("x.exr"), "--recipe", "/no/such/recipe.json"), 3, "recipe.json");
+    EXPECT(RUN("bake", lamp, "-o", in_folder("x.exr"), "--set", "gibberish"), 3, "gibberish");
+    EXPECT(RUN("info", "/no/such/box.exr"), 3, "box.exr");
+    EXPECT(RUN("info", lamp), 3, "paraboloid-spot.gltf");
+    EXPECT(RUN("probe", "/no/such/box.exr", "--points", "/dev/null"), 3, "no rows");
+    EXPECT(RUN("probe", box, "--points", "/no/such/table.csv"), 3, "table.csv");
+    EXPECT(RUN("compare", "/no/such/a.gltf", box), 3, "a.gltf");
+    assert_int_not_equal(access(in_folder("x.exr"), F_OK), 0);
+}
+
+/* ---------------------------------------------------------------------------------------------------------------- bake */
+
+static void test_dark_and_closed_lamps(void **state)
+{
+    (void)state;
+    char room[1100];
+    snprintf(room, sizeof(room), "%s/models/room/room.gltf", LUMIBOX_BINARY_DIR);
+    EXPECT(RUN("bake", room, "-o", in_folder("dark.exr"), "--photons", "1000"), 3, "emit");
+    /* a source shut in black: everything is absorbed */
+    EXPECT(RUN("bake", lamp, "-o", in_folder("dark.exr"), "--photons", "1000", "--set", "leave-out:Reflector", "--set", "leave-out:Housing",
+               "--set", "no-emission:Source"),
+           3, "emit");
+    assert_int_not_equal(access(in_folder("dark.exr"), F_OK), 0);
+}
+
+static void test_same_bytes_for_any_threads(void **state)
+{
+    (void)state;
+    static const char *const THREADS[] = {"1", "2", "3"};
+    char *first = NULL;
+    size_t first_size = 0;
+    for (int i = 0; i < 3; ++i) {
+        outcome o = RUN("bake", lamp, "-o", in_folder("threads.box.exr"), "--photons", "300000", "--cells", "3e5", "--seed", "5", "--threads",
+                        THREADS[i], "--json");
+        assert_int_equal(o.code, 0);
+        release(&o);
+        size_t size;
+        char *bytes = slurp(in_folder("threads.box.exr"), &size);
+        if (i == 0) {
+            first = bytes;
+            first_size = size;
+            continue;
+        }
+        assert_int_equal(size, first_size);
+        assert_memory_equal(bytes, first, size);
+        free(bytes);
+    }
+    outcome o = RUN("bake", lamp, "-o", in_folder("threads.box.exr"), "--photons", "300000", "--cells", "3e5", "--seed", "6");
+    assert_int_equal(o.code, 0);
+    release(&o);
+    size_t size;
+    char *other = slurp(in_folder("threads.box.exr"), &size);
+    assert_true(size != first_size || memcmp(other, first, size) != 0);
+    free(other);
+    free(first);
+}
+
+static json_t *parse_json(const char *text)
+{
+    json_error_t error;
+    json_t *o = json_loads(text, 0, &error);
+    if (!o)
+        fail_msg("not JSON: %s at line %d of: %s", error.text, error.line, text);
+    return o;
+}
+
+static double number_at(json_t *o, const char *a, const char *b)
+{
+    json_t *v = json_object_get(o, a);
+    if (b)
+        v = json_object_get(v, b);
+    assert_true(json_is_number(v));
+    return json_number_value(v);
+}
+
+static void test_bake_summary_and_flux(void **state)
+{
+    (void)state;
+    outcome o = RUN("bake", lamp, "-o", in_folder("flux.box.exr"), "--photons", "100000", "--cells", "1e5", "--output-flux", "1234lm",
+                    "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = parse_json(o.out);
+    assert_true(fabs(number_at(j, "stored", "lm") + number_at(j, "residual", "lm") - 1234) < 1e-3);
+    assert_int_equal(number_at(j, "photons", NULL), 100000);
+    assert_true(number_at(j, "lost", "lm") <= 1e-6 * number_at(j, "emitted", "lm"));
+    const double sum = number_at(j, "stored", "lm") + number_at(j, "residual", "lm") + number_at(j, "absorbed", "lm") + number_at(j, "lost", "lm");
+    assert_true(fabs(sum - number_at(j, "emitted", "lm")) < 1e-6 * sum);
+    json_decref(j);
+    release(&o);
+
+    o = RUN("info", in_folder("flux.box.exr"), "--json");
+    assert_int_equal(o.code, 0);
+    j = parse_json(o.out);
+    assert_int_equal(json_integer_value(json_object_get(json_object_get(j, "ledger"), "photons")), 100000);
+    json_t *texts = json_object_get(j, "texts");
+    assert_string_equal(json_string_value(json_object_get(texts, "model")), "paraboloid-spot.gltf");
+    assert_string_equal(json_string_value(json_object_get(texts, "seed")), "1");
+    assert_non_null(strstr(json_string_value(json_object_get(texts, "settings")), "1234"));
+    assert_non_null(strstr(json_string_value(json_object_get(texts, "effects")), "area-emission"));
+    json_decref(j);
+    release(&o);
+
+    o = RUN("info", in_folder("flux.box.exr"));
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "emitted"));
+    assert_non_null(strstr(o.out, "+-"));
+    release(&o);
+    o = RUN("bake", lamp, "-o", in_folder("flux.box.exr"), "--photons", "20000", "--cells", "1e5", "--quiet");
+    assert_int_equal(o.code, 0);
+    assert_string_equal(o.out, "");
+    assert_string_equal(o.err, "");
+    release(&o);
+}
+
+static void pause_seconds(double s)
+{
+    const struct timespec t = {(time_t)s, (long)(1e9 * (s - floor(s)))};
+    nanosleep(&t, NULL);
+}
+
+/* Ctrl-C in a long bake: a valid box with what was traced, exit code 130. */
+static void test_interrupt(void **state)
+{
+    (void)state;
+    static const int SIGNALS[] = {SIGINT, SIGTERM};
+    for (int i = 0; i < 2; ++i) {
+        char path[1200];
+        snprintf(path, sizeof(path), "%s/interrupted.box.exr", folder);
+        unlink(path);
+        const pid_t pid = start((const char *const[]){"bake", lamp, "-o", path, "--time", "200s", "--cells", "1e5", "--progress", NULL});
+        /* once the first round is through there is something to interrupt */
+        for (int k = 0; k < 600; ++k) {
+            pause_seconds(0.1);
+            char *err = slurp(in_folder("stderr"), NULL);
+            const bool begun = err && strstr(err, "photons");
+            free(err);
+            if (begun)
+                break;
+            if (k == 20)
+                break; /* the first progress line comes after ten seconds: by now the bake is tracing */
+        }
+        kill(pid, SIGNALS[i]);
+        outcome o = finish(pid);
+        assert_int_equal(o.code, 130);
+        assert_non_null(strstr(o.err, "interrupted"));
+        release(&o);
+        o = RUN("info", path, "--json");
+        assert_int_equal(o.code, 0);
+        json_t *j = parse_json(o.out);
+        assert_true(json_integer_value(json_object_get(json_object_get(j, "ledger"), "photons")) > 0);
+        json_decref(j);
+        release(&o);
+    }
+}
+
+/* ---------------------------------------------------------------------------------------------------------------- probe */
+
+static void test_probe(void **state)
+{
+    (void)state;
+    static const char TABLE[] = "x, y, z, nx, ny, nz\n# a comment\n\n0,-2,0, 0,1,0\r\n 0.1;-3;0.2;0;2;0 # normals needn't be unit\n0\t-1e1\t0\t0\t1\t0\n";
+    write_file(in_folder("points.csv"), TABLE, sizeof(TABLE) - 1);
+    outcome o = RUN("probe", box, "--points", in_folder("points.csv"));
+    assert_int_equal(o.code, 0);
+    assert_int_equal(lines_of(o.out), 4);
+    double v[3][8];
+    const char *line = strchr(o.out, '\n') + 1;
+    for (int i = 0; i < 3; ++i, line = strchr(line, '\n') + 1)
+        assert_int_equal(sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", &v[i][0], &v[i][1], &v[i][2], &v[i][3], &v[i][4], &v[i][5], &v[i][6],
+                                &v[i][7]),
+                         8);
+    /* about 36 kcd straight down, the narrow beam's blur aside */
+    assert_true(v[0][6] > 5000 && v[0][6] < 11000);
+    assert_true(v[2][6] > 250 && v[2][6] < 420);
+    assert_true(v[0][7] > 0);
+    release(&o);
+
+    o = RUN("probe", box, "--points", in_folder("points.csv"), "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = parse_json(o.out);
+    assert_int_equal(json_array_size(json_object_get(j, "rows")), 3);
+    assert_int_equal(json_array_size(json_object_get(json_array_get(json_object_get(j, "rows"), 0), "rgb")), 3);
+    json_decref(j);
+    release(&o);
+
+    write_file(in_folder("stdin"), "0,-1,0\n", 7);
+    o = RUN("probe", box, "--intensity", "-");
+    assert_int_equal(o.code, 0);
+    double intensity;
+    assert_int_equal(sscanf(strchr(o.out, '\n') + 1, "0,-1,0,%lf,", &intensity), 1);
+    assert_true(intensity > 28000 && intensity < 42000);
+    release(&o);
+    write_file(in_folder("stdin"), "0.02,-1,0.01,0,-1,0\n", 20);
+    o = RUN("probe", box, "--rays", "-", "--linear");
+    assert_int_equal(o.code, 0);
+    assert_int_equal(lines_of(o.out), 2);
+    release(&o);
+    write_file(in_folder("stdin"), "", 0);
+}
+
+static void test_bad_tables(void **state)
+{
+    (void)state;
+    const struct {
+        const char *text, *message;
+    } cases[] = {
+        {"", "no rows"},
+        {"x,y,z,nx,ny,nz\n", "no rows"},
+        {"0,-2,0,0,1\n", ":1: 5 columns, expected 6"},
+        {"0,-2,0,0,1,\n", ":1: 5 columns, expected 6"},
+        {"# c\n0,-2,0,0,1,0,7\n", ":2: more than 6"},
+        {"0,-2,0,0,1,0\n0,-2,zero,0,1,0\n", ":2: column 3: 'zero' is not a number"},
+        {"0,-2,0,0,1,inf\n", ":1: column 6 is not finite"},
+        {"0,-2,0,0,1,nan\n", ":1: column 6 is not finite"},
+        {"0,-2,0,0,0,0\n", ":1: the normal has no length"},
+        {"a,b\n0,-2,0,0,1,0\nx,y,z,nx,ny,nz\n", ":3: column 1: 'x' is not a number"},
+        {"0,-2,0 0,0,1,0\n", ":1: column 3"},
+        {"0,0.01,0,0,1,0\n", ":1: the point is inside the luminaire"},
+    };
+    for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); ++i) {
+        write_file(in_folder("bad.csv"), cases[i].text, strlen(cases[i].text));
+        EXPECT(RUN("probe", box, "--points", in_folder("bad.csv")), 3, cases[i].message);
+    }
+    write_file(in_folder("bad.csv"), "0,-2,0\0,0,1,0\n", 14);
+    EXPECT(RUN("probe", box, "--points", in_folder("bad.csv")), 3, "zero byte");
+}
+
+/* -------------------------------------------------------------------------------------------------------------- compare */
+
+static void test_compare(void **state)
+{
+    (void)state;
+    outcome o = RUN("compare", box, lamp, "--photons", "1e6", "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = parse_json(o.out);
+    json_t *sides = json_object_get(j, "sides");
+    const double a = number_at(json_array_get(sides, 0), "flux_lm", NULL), b = number_at(json_array_get(sides, 1), "flux_lm", NULL);
+    const double ea = number_at(json_array_get(sides, 0), "flux_standard_error", NULL), eb = number_at(json_array_get(sides, 1), "flux_standard_error", NULL);
+    /* the box's own flux has the error of its 2 million photons, about that of b here */
+    assert_true(fabs(a - b) < 4 * sqrt(ea * ea + 2 * eb * eb));
+    json_t *planes = json_object_get(j, "planes");
+    assert_int_equal(json_array_size(planes), 4);
+    for (size_t i = 0; i < 4; ++i) {
+        json_t *d = json_object_get(json_array_get(planes, i), "difference");
+        assert_true(number_at(d, "raw", NULL) > fabs(number_at(d, "rms", NULL)));
+        assert_true(number_at(d, "rms", NULL) < 0.1);
+    }
+    json_decref(j);
+    release(&o);
+    /* a lamp against itself, other photons: no difference beyond noise */
+    o = RUN("compare", lamp, lamp, "--photons", "1e6", "--distances", "1,3", "--size", "0.1", "--json");
+    assert_int_equal(o.code, 0);
+    j = parse_json(o.out);
+    planes = json_object_get(j, "planes");
+    for (size_t i = 0; i < 2; ++i) {
+        json_t *d = json_object_get(json_array_get(planes, i), "difference");
+        assert_true(fabs(number_at(d, "rms", NULL)) < 4 * number_at(d, "standard_error", NULL) + 1e-3);
+    }
+    json_decref(j);
+    release(&o);
+    o = RUN("compare", lamp, box, "--photons", "1e5");
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "far-field"));
+    release(&o);
+}
+
+/* ------------------------------------------------------------------------------------------------------------ bad input */
+
+static int files_tried, files_baked;
+
+static void try_file(const char *path)
+{
+    char output[1200];
+    snprintf(output, sizeof(output), "%s/hard.box.exr", folder);
+    unlink(output);
+    outcome o = RUN("bake", path, "-o", output, "--photons", "1000", "--cells", "1e4", "--no-recipe");
+    ++files_tried;
+    const int errors = lines_with(o.err, "error:");
+    if (o.code == 0) {
+        ++files_baked;
+        if (errors != 0 || access(output, R_OK) != 0)
+            fail_msg("%s: exit code 0, but %d errors or no file: %s", path, errors, o.err);
+    } else if (o.code != 3 || errors != 1 || access(output, F_OK) == 0) {
+        fail_msg("%s: exit code %d, %d error lines, output %s: %s", path, o.code, errors, access(output, F_OK) == 0 ? "left" : "none", o.err);
+    }
+    release(&o);
+}
+
+static void try_folder(const char *path)
+{
+    DIR *d = opendir(path);
+    if (!d)
+        return;
+    for (struct dirent *e; (e = readdir(d));) {
+        if (e->d_name[0] == '.')
+            continue;
+        char inner[2048];
+        snprintf(inner, sizeof(inner), "%s/%s", path, e->d_name);
+        struct stat s;
+        if (stat(inner, &s) != 0)
+            continue;
+        const size_t n = strlen(inner);
+        if (S_ISDIR(s.st_mode))
+            try_folder(inner);
+        else if ((n > 5 && !strcmp(inner + n - 5, ".gltf")) || (n > 4 && !strcmp(inner + n - 4, ".glb")))
+            try_file(inner);
+    }
+    closedir(d);
+}
+
+static void sweep(const char *name)
+{
+    char path[1024];
+    snprintf(path, sizeof(path), "%s/%s", LUMIBOX_SHARED_DATA, name);
+    if (access(path, R_OK) != 0) {
+        print_message("skipped: %s isn't there\n", name);
+        return;
+    }
+    files_tried = files_baked = 0;
+    try_folder(path);
+    print_message("%s: %d files, %d baked, %d refused\n", name, files_tried, files_baked, files_tried - files_baked);
+    assert_true(files_tried > 0);
+}
+
+static void test_invalid_gltf(void **state)
+{
+    (void)state;
+    sweep("gltf-invalid");
+}
+
+static void test_odd_gltf(void **state)
+{
+    (void)state;
+    sweep("gltf-odd");
+}
+
+/* Files of all formats where a lamp or a box is expected. */
+static void test_wrong_kinds(void **state)
+{
+    (void)state;
+    write_file(in_folder("empty.gltf"), "", 0);
+    write_file(in_folder("empty.glb"), "", 0);
+    write_file(in_folder("text.gltf"), "hello\n", 6);
+    write_file(in_folder("text.glb"), "glTF\2\0\0\0\xff\xff\xff\xff", 12);
+    EXPECT(RUN("bake", in_folder("empty.gltf"), "-o", in_folder("x.exr")), 3, "empty.gltf");
+    EXPECT(RUN("bake", in_folder("empty.glb"), "-o", in_folder("x.exr")), 3, "empty.glb");
+    EXPECT(RUN("bake", in_folder("text.gltf"), "-o", in_folder("x.exr")), 3, "text.gltf");
+    EXPECT(RUN("bake", in_folder("text.glb"), "-o", in_folder("x.exr")), 3, "text.glb");
+    EXPECT(RUN("bake", folder, "-o", in_folder("x.exr")), 3, "folder");
+    EXPECT(RUN("bake", box, "-o", in_folder("x.exr")), 3, "spot.box.exr");
+    EXPECT(RUN("info", folder), 3, folder);
+    EXPECT(RUN("info", "/dev/null"), 3, "/dev/null");
+    EXPECT(RUN("compare", lamp, in_folder("text.gltf")), 3, "text.gltf");
+    assert_int_not_equal(access(in_folder("x.exr"), F_OK), 0);
+}
+
+/* A box cut off anywhere, or with any bit turned, is refused - unless the bit carries nothing (after the end of a deflate stream): then all
+ * reads as before. */
+static void test_damaged_boxes(void **state)
+{
+    (void)state;
+    size_t size;
+    outcome o = RUN("bake", lamp, "-o", in_folder("small.box.exr"), "--photons", "20000", "--cells", "5e3", "--quiet");
+    assert_int_equal(o.code, 0);
+    release(&o);
+    char *bytes = slurp(in_folder("small.box.exr"), &size);
+    for (int i = 0; i < 24; ++i) {
+        write_file(in_folder("damaged.box.exr"), bytes, size * (size_t)i / 24);
+        EXPECT(RUN(i % 2 ? "info" : "compare", in_folder("damaged.box.exr"), i % 2 ? "--json" : lamp), 3, "damaged.box.exr");
+    }
+    write_file(in_folder("damaged.box.exr"), bytes, size);
+    o = RUN("info", in_folder("damaged.box.exr"), "--json");
+    assert_int_equal(o.code, 0);
+    char *before = o.out;
+    free(o.err);
+    uint64_t x = 12345;
+    int harmless = 0;
+    for (int i = 0; i < 48; ++i) {
+        x = x * 6364136223846793005u + 1442695040888963407u;
+        /* half of them in the first kilobytes, where the headers are */
+        const size_t at = (size_t)(x >> 20) % (i % 2 ? size : size < 4096 ? size : 4096);
+        bytes[at] ^= (char)(1 << (x >> 60) % 8);
+        write_file(in_folder("damaged.box.exr"), bytes, size);
+        o = RUN("info", in_folder("damaged.box.exr"), "--json");
+        if (o.code == 0) {
+            ++harmless;
+            assert_string_equal(o.out, before);
+            release(&o);
+        } else {
+            expect(__LINE__, o, 3, "damaged.box.exr");
+        }
+        bytes[at] ^= (char)(1 << (x >> 60) % 8);
+    }
+    assert_true(harmless <= 2);
+    free(before);
+    free(bytes);
+}
+
+static int setup(void **state)
+{
+    (void)state;
+    snprintf(folder, sizeof(folder), "%s/tests/cli_lumibake", LUMIBOX_BINARY_DIR);
+    mkdir(folder, 0777);
+    snprintf(lamp, sizeof(lamp), "%s/models/paraboloid-spot/paraboloid-spot.gltf", LUMIBOX_BINARY_DIR);
+    snprintf(box, sizeof(box), "%s/spot.box.exr", folder);
+    write_file(in_folder("stdin"), "", 0);
+    outcome o = RUN("bake", lamp, "-o", box, "--photons", "2e6", "--cells", "1e6", "--seed", "9");
+    const int code = o.code;
+    if (code != 0)
+        fprintf(stderr, "%s\n", o.err);
+    release(&o);
+    return code;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_help),
+        cmocka_unit_test(test_usage_errors),
+        cmocka_unit_test(test_missing_files),
+        cmocka_unit_test(test_dark_and_closed_lamps),
+        cmocka_unit_test(test_same_bytes_for_any_threads),
+        cmocka_unit_test(test_bake_summary_and_flux),
+        cmocka_unit_test(test_interrupt),
+        cmocka_unit_test(test_probe),
+        cmocka_unit_test(test_bad_tables),
+        cmocka_unit_test(test_compare),
+        cmocka_unit_test(test_invalid_gltf),
+        cmocka_unit_test(test_odd_gltf),
+        cmocka_unit_test(test_wrong_kinds),
+        cmocka_unit_test(test_damaged_boxes),
+    };
+    return cmocka_run_group_tests_name("lumibake", tests, setup, NULL);
+}
