@@ -19,7 +19,8 @@ typedef struct settings {
 static void print_help(void)
 {
     puts("lumiview diff A.exr B.exr [--png diff.png]: how picture A differs from B (the reference), luminance, noise told apart\n"
-         "  --png FILE.png  2 (A - B) / (A + B): red where A is brighter, blue where B is, white where they agree\n"
+         "  --png FILE.png  2 (A - B) / (A + B): red where A is brighter, blue where B is, white where they\n"
+         "                  agree to within 2 standard errors of the noise\n"
          "  --scale S       full colour at this relative difference (default 0.1)\n"
          "  --block N       compare means over N x N pixels (default 1)\n"
          "  --limit F       leave out blocks brighter than F times the mean of B, such as the lamp itself (default: none)\n"

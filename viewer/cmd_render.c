@@ -456,7 +456,7 @@ static char *command_line(int argc, char **argv)
     return text;
 }
 
-static void print_result(const settings *s, const view_render_state *state, double mid_grey)
+static void print_result(const settings *s, const view_render_state *state, double mid_grey, double connect)
 {
     double rate = (double)state->rays / fmax(state->seconds, 1e-9);
     if (s->json) {
@@ -485,8 +485,8 @@ static void print_result(const settings *s, const view_render_state *state, doub
     }
     printf("; mean %.4g cd/m2; mid-grey at %.4g cd/m2 (EV %.1f)\n", state->mean, mid_grey, view_exposure_to_ev(mid_grey));
     if (s->verbose) {
-        fprintf(stderr, "%.3g rays, %.2f Mrays/s, %llu paths refused as not finite\n", (double)state->rays, rate * 1e-6,
-                (unsigned long long)state->refused);
+        fprintf(stderr, "%.3g rays, %.2f Mrays/s, %llu paths refused as not finite, paths from boxes for %.0f %% of the samples\n",
+                (double)state->rays, rate * 1e-6, (unsigned long long)state->refused, 100 * connect);
     }
 }
 
@@ -590,7 +590,7 @@ static int render_scene(const settings *s, int argc, char **argv)
         view_render_state state = view_render_look(render);
         r = write_files(s, render, &state, &mid_grey, command, &err);
         if (r == LMG_OK) {
-            print_result(s, &state, mid_grey);
+            print_result(s, &state, mid_grey, scene->connect);
             if (state.refused && !s->quiet) {
                 fprintf(stderr, "warning: %llu paths gave no finite number and count as dark\n", (unsigned long long)state.refused);
             }

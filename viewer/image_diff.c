@@ -29,6 +29,9 @@ static int compare_doubles(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+/* Differences up to so many standard errors count as noise in the picture. */
+static const double EXPLAINED = 2;
+
 static double image_mean(const view_image *image)
 {
     size_t pixels = (size_t)image->width * image->height;
@@ -107,9 +110,13 @@ void view_diff_picture(const view_image *a, const view_image *b, uint32_t block,
     static const double RED[3] = {0.55, 0.01, 0.02}, BLUE[3] = {0.01, 0.08, 0.60};
     for (uint32_t y = 0; y < a->height; y += block) {
         for (uint32_t x = 0; x < a->width; x += block) {
-            double variance, ma = block_mean(a, x, y, block, &variance), mb = block_mean(b, x, y, block, &variance);
-            double middle = fmax(0.5 * (ma + mb), floor_luminance);
-            double v = middle > 0 ? (ma - mb) / middle / scale : 0;
+            double va, vb, ma = block_mean(a, x, y, block, &va), mb = block_mean(b, x, y, block, &vb);
+            double middle = fmax(0.5 * (ma + mb), floor_luminance), difference = ma - mb;
+            if (va + vb > 0) { /* false when unknown, NAN */
+                double explained = EXPLAINED * EXPLAINED * (va + vb);
+                difference *= fmax(0, 1 - explained / fmax(difference * difference, explained));
+            }
+            double v = middle > 0 ? difference / middle / scale : 0;
             const double *end = v > 0 ? RED : BLUE;
             double f = fmin(fabs(v), 1);
             for (uint32_t py = y; py < y + block && py < a->height; py++) {

@@ -30,8 +30,10 @@ typedef struct view_diff {
 lmg_result view_image_diff(const view_image *a, const view_image *b, const view_diff_options *options, view_diff *out,
                            lmg_error *err);
 
-/* The picture of the relative difference 2 (a - b) / (a + b) of block means: red where a is brighter, blue where b is, white where
+/*
+ * The picture of the relative difference 2 (a - b) / (a + b) of block means: red where a is brighter, blue where b is, white where
  * they agree; full colour at +-scale.  Where both are darker than a thousandth of the mean, the difference is taken against that.
+ * What noise explains is taken off: a difference d with the standard error s shows as d (1 - (2 s / d)^2), below 2 s as white.
  */
 void view_diff_picture(const view_image *a, const view_image *b, uint32_t block, double scale, uint8_t *bytes);
 
