@@ -18,12 +18,15 @@ typedef struct patch {
 } patch;
 
 typedef struct emissive_triangle {
-    uint32_t triangle;
-    uint32_t first_patch;
-    uint32_t n;  /* cuts per edge: n * n patches */
-    float area;  /* m2 */
-    float error; /* lum_triangle_error */
+    float v[3][3];     /* vertices */
+    float ng[3];       /* geometric normal, rounded to float */
+    float emission[3]; /* cd/m2, of untextured ones */
+    float colour[3];   /* the same at luminance 1 */
+    float error;       /* lum_triangle_error */
+    float area;        /* m2 */
+    uint32_t n;        /* cuts per edge: n * n patches */
     bool textured, both;
+    uint32_t first_patch, triangle;
 } emissive_triangle;
 
 /* One entry of the alias table: a patch, or (from patch_count on) a light. */
@@ -403,35 +406,15 @@ static bool build_alias(const lum_emitters *e, bool directional, alias_entry *ta
     return true;
 }
 
-static uint32_t pick(const alias_entry *table, uint32_t n, double *u)
+static uint32_t pick(const alias_entry *table, uint32_t n, double u)
 {
-    double x = *u * n;
+    double x = u * n;
     uint32_t i = (uint32_t)x;
     i = i < n ? i : n - 1;
-    x -= i;
-    const alias_entry *a = &table[i];
-    if (x < a->keep) {
-        *u = x / a->keep;
-    } else {
-        *u = a->keep < 1 ? (x - a->keep) / (1 - a->keep) : 0;
-        i = a->other;
-    }
-    *u = *u < 1 ? *u : 0x1.fffffffffffffp-1;
-    return i;
+    return x - i < table[i].keep ? i : table[i].other;
 }
 
 /* ------------------------------------------------------------------------------------------------------------- create */
-
-static lmg_vec3 corner_of(const lum_model *model, uint32_t triangle, int k)
-{
-    return vec_from_float(model->positions + 3 * (size_t)model->indices[3 * (size_t)triangle + (size_t)k]);
-}
-
-static double area_of(const lum_model *model, uint32_t triangle)
-{
-    lmg_vec3 a = corner_of(model, triangle, 0);
-    return 0.5 * vec_length(vec_cross(vec_sub(corner_of(model, triangle, 1), a), vec_sub(corner_of(model, triangle, 2), a)));
-}
 
 static bool emits(const lum_model *model, uint32_t triangle)
 {
@@ -467,14 +450,24 @@ lmg_result lum_emitters_create(const lum_model *model, lum_emitters **out, lmg_e
         const lum_material *m = &model->materials[model->triangle_material[i]];
         emissive_triangle *t = &e->triangles[next];
         double texels;
-        float v[3][3];
         for (int k = 0; k < 3; k++) {
-            memcpy(v[k], model->positions + 3 * (size_t)model->indices[3 * (size_t)i + (size_t)k], sizeof v[k]);
+            memcpy(t->v[k], model->positions + 3 * (size_t)model->indices[3 * (size_t)i + (size_t)k], sizeof t->v[k]);
         }
+        lmg_vec3 corner = vec_from_float(t->v[0]);
+        lmg_vec3 cross = vec_cross(vec_sub(vec_from_float(t->v[1]), corner), vec_sub(vec_from_float(t->v[2]), corner));
+        double twice = vec_length(cross), luminance;
+        t->ng[0] = twice > 0 ? (float)(cross.x / twice) : 0;
+        t->ng[1] = twice > 0 ? (float)(cross.y / twice) : 0;
+        t->ng[2] = twice > 0 ? (float)(cross.z / twice) : 1;
         e->of_triangle[i] = (int32_t)next++;
         t->triangle = i;
-        t->area = (float)area_of(model, i);
-        t->error = nextafterf((float)lum_triangle_error((const float(*)[3])v), INFINITY);
+        t->area = (float)(0.5 * twice);
+        t->error = nextafterf((float)lum_triangle_error((const float(*)[3])t->v), INFINITY);
+        emission_at(model, i, 1.0 / 3, 1.0 / 3, t->emission);
+        luminance = lmg_luminance(t->emission);
+        for (int c = 0; c < 3; c++) {
+            t->colour[c] = luminance > 0 ? (float)((double)t->emission[c] / luminance) : 0;
+        }
         t->both = m->emits_back;
         bool by_emission = is_textured(&m->emissive_texture);
         t->textured = by_emission || (m->alpha_mode != LUM_ALPHA_OPAQUE && (is_textured(&m->base_texture) || model->colors));
@@ -547,26 +540,30 @@ double lum_emitters_flux(const lum_emitters *emitters, double rgb[3])
 /* A uniformly distributed point of a patch, as barycentrics of its triangle. */
 static void point_in_patch(const emissive_triangle *t, uint32_t index, double x, double y, double *b1, double *b2)
 {
-    uint32_t within = index - t->first_patch, i = t->n > 1 ? row_of(t->n, within) : 0;
     double corner[2], step, r = sqrt(x);
+    if (t->n == 1) {
+        *b1 = 1 - r;
+        *b2 = y * r;
+        return;
+    }
+    uint32_t within = index - t->first_patch, i = row_of(t->n, within);
     patch_corner(t->n, i, within - row_start(t->n, i), corner, &step);
     *b1 = corner[0] + step * (1 - r);
     *b2 = corner[1] + step * (y * r);
 }
 
-static lmg_vec3 point_at(const lum_model *model, uint32_t triangle, double b1, double b2, lmg_vec3 *ng)
+static inline lmg_vec3 point_at(const emissive_triangle *t, double b1, double b2, lmg_vec3 *ng)
 {
-    lmg_vec3 a = corner_of(model, triangle, 0);
-    lmg_vec3 e1 = vec_sub(corner_of(model, triangle, 1), a), e2 = vec_sub(corner_of(model, triangle, 2), a);
-    *ng = vec_unit(vec_cross(e1, e2));
+    lmg_vec3 a = vec_from_float(t->v[0]), n = vec_from_float(t->ng);
+    lmg_vec3 e1 = vec_sub(vec_from_float(t->v[1]), a), e2 = vec_sub(vec_from_float(t->v[2]), a);
+    *ng = vec_scale(n, 1.5 - 0.5 * vec_dot(n, n)); /* unit in double: a Newton step, as scene.c has it */
     return vec_along(vec_along(a, e1, b1), e2, b2);
 }
 
 void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], double (*next)(void *state), void *state,
                          lum_photon *out)
 {
-    double u = xi[0];
-    uint32_t i = pick(emitters->alias, emitters->patch_count + emitters->light_count, &u);
+    uint32_t i = pick(emitters->alias, emitters->patch_count + emitters->light_count, xi[0]);
     if (i >= emitters->patch_count) {
         const punctual *p = &emitters->lights[i - emitters->patch_count];
         out->origin = p->light.position;
@@ -575,7 +572,7 @@ void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], doubl
             out->direction = vec_about(vec(0, 0, 1), 2 * xi[1] - 1, xi[2]);
         } else {
             double c;
-            if (u < p->ramp) {
+            if (xi[5] < p->ramp) {
                 c = p->light.cos_outer + p->width * p->ramp_top * cbrt(xi[1]); /* flux up to a grows as a^3 */
             } else {
                 c = 1 - xi[1] * (1 - p->light.cos_outer - p->width);
@@ -586,24 +583,25 @@ void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], doubl
     }
 
     const emissive_triangle *t = &emitters->triangles[emitters->alias[i].owner];
-    double b1, b2, x = xi[1], y = xi[2];
-    float rgb[3];
-    for (;;) {
-        point_in_patch(t, i, x, y, &b1, &b2);
+    double b1, b2;
+    point_in_patch(t, i, xi[1], xi[2], &b1, &b2);
+    memcpy(out->flux, t->colour, sizeof out->flux);
+    if (t->textured) {
+        float rgb[3];
         emission_at(emitters->model, t->triangle, b1, b2, rgb);
-        if (!t->textured || next(state) * (double)emitters->patches[i].bound < lmg_luminance(rgb)) {
-            break;
+        while (next(state) * (double)emitters->patches[i].bound >= lmg_luminance(rgb)) {
+            double x = next(state), y = next(state);
+            point_in_patch(t, i, x, y, &b1, &b2);
+            emission_at(emitters->model, t->triangle, b1, b2, rgb);
         }
-        x = next(state);
-        y = next(state);
+        double luminance = lmg_luminance(rgb);
+        for (int c = 0; c < 3; c++) {
+            out->flux[c] = (float)((double)rgb[c] / luminance);
+        }
     }
-    lmg_vec3 ng, p = point_at(emitters->model, t->triangle, b1, b2, &ng);
+    lmg_vec3 ng, p = point_at(t, b1, b2, &ng);
     if (t->both && xi[5] < 0.5) {
         ng = vec_scale(ng, -1);
-    }
-    double luminance = lmg_luminance(rgb);
-    for (int c = 0; c < 3; c++) {
-        out->flux[c] = (float)((double)rgb[c] / luminance);
     }
     out->origin = vec_along(p, ng, (double)t->error);
     out->direction = vec_about(ng, sqrt(1 - xi[3]), xi[4]);
@@ -614,8 +612,7 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
     if (!(emitters->flux_all > 0)) {
         return false;
     }
-    double u = xi[0];
-    uint32_t i = pick(emitters->alias_all, emitters->patch_count + emitters->light_count, &u);
+    uint32_t i = pick(emitters->alias_all, emitters->patch_count + emitters->light_count, xi[0]);
     if (i >= emitters->patch_count) {
         const punctual *light = &emitters->lights[i - emitters->patch_count];
         double chance = light->power / emitters->flux_all, factor = 1;
@@ -646,7 +643,7 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
     const emissive_triangle *t = &emitters->triangles[emitters->alias_all[i].owner];
     double b1, b2;
     point_in_patch(t, i, xi[1], xi[2], &b1, &b2);
-    lmg_vec3 ng, d = vec_sub(point_at(emitters->model, t->triangle, b1, b2, &ng), p);
+    lmg_vec3 ng, d = vec_sub(point_at(t, b1, b2, &ng), p);
     double d2 = vec_dot(d, d);
     if (!(d2 > 0)) {
         return false;
@@ -660,7 +657,11 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
     double area = (double)t->area / ((double)t->n * t->n);
     out->pdf = emitters->patches[i].power / emitters->flux_all * d2 / (area * fabs(cosine));
     out->delta = false;
-    emission_at(emitters->model, t->triangle, b1, b2, out->radiance);
+    if (t->textured) {
+        emission_at(emitters->model, t->triangle, b1, b2, out->radiance);
+    } else {
+        memcpy(out->radiance, t->emission, sizeof out->radiance);
+    }
     return out->pdf > 0 && out->pdf < (double)INFINITY && lmg_luminance(out->radiance) > 0;
 }
 
