@@ -103,6 +103,27 @@ lmg_result view_image_diff(const view_image *a, const view_image *b, const view_
     return LMG_OK;
 }
 
+/* Variance of a block's difference, the mean over the block and its neighbours two blocks around: a block that happened to miss
+ * rare bright paths is both too dark and too sure of itself, its neighbours together are less so. */
+static double pooled_variance(const view_image *a, const view_image *b, uint32_t x0, uint32_t y0, uint32_t block)
+{
+    double sum = 0;
+    int count = 0;
+    for (int dy = -2; dy <= 2; dy++) {
+        for (int dx = -2; dx <= 2; dx++) {
+            int64_t x = (int64_t)x0 + dx * (int64_t)block, y = (int64_t)y0 + dy * (int64_t)block;
+            if (x >= 0 && y >= 0 && x < a->width && y < a->height) {
+                double va, vb;
+                block_mean(a, (uint32_t)x, (uint32_t)y, block, &va);
+                block_mean(b, (uint32_t)x, (uint32_t)y, block, &vb);
+                sum += va + vb;
+                count++;
+            }
+        }
+    }
+    return sum / count;
+}
+
 void view_diff_picture(const view_image *a, const view_image *b, uint32_t block, double scale, uint8_t *bytes)
 {
     double floor_luminance = 1e-3 * image_mean(b);
@@ -112,8 +133,9 @@ void view_diff_picture(const view_image *a, const view_image *b, uint32_t block,
         for (uint32_t x = 0; x < a->width; x += block) {
             double va, vb, ma = block_mean(a, x, y, block, &va), mb = block_mean(b, x, y, block, &vb);
             double middle = fmax(0.5 * (ma + mb), floor_luminance), difference = ma - mb;
-            if (va + vb > 0) { /* false when unknown, NAN */
-                double explained = EXPLAINED * EXPLAINED * (va + vb);
+            double variance = pooled_variance(a, b, x, y, block);
+            if (variance > 0) { /* false when unknown, NAN */
+                double explained = EXPLAINED * EXPLAINED * variance;
                 difference *= fmax(0, 1 - explained / fmax(difference * difference, explained));
             }
             double v = middle > 0 ? difference / middle / scale : 0;

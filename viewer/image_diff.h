@@ -33,7 +33,8 @@ lmg_result view_image_diff(const view_image *a, const view_image *b, const view_
 /*
  * The picture of the relative difference 2 (a - b) / (a + b) of block means: red where a is brighter, blue where b is, white where
  * they agree; full colour at +-scale.  Where both are darker than a thousandth of the mean, the difference is taken against that.
- * What noise explains is taken off: a difference d with the standard error s shows as d (1 - (2 s / d)^2), below 2 s as white.
+ * What noise explains is taken off: a difference d with the standard error s shows as d (1 - (2 s / d)^2), below 2 s as white.  s:
+ * pooled over 5 x 5 blocks.
  */
 void view_diff_picture(const view_image *a, const view_image *b, uint32_t block, double scale, uint8_t *bytes);
 
