@@ -604,7 +604,7 @@ void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], doubl
         ng = vec_scale(ng, -1);
     }
     out->origin = vec_along(p, ng, (double)t->error);
-    out->direction = vec_about(ng, sqrt(1 - xi[3]), xi[4]);
+    out->direction = vec_about_squared(ng, xi[3], xi[4]);
 }
 
 bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const double xi[3], lum_light_sample *out)

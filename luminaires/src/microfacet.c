@@ -107,6 +107,13 @@ static void fill_lobe(lum_lobe *lobe, lum_lobe_kind kind, double alpha, double e
     for (int j = 0; j < LUM_LOBE_SEGMENTS; j++) {
         lobe->sum[j + 1] = lobe->sum[j] + 0.5 * (lobe->rest[j] + lobe->rest[j + 1]) * (node(j + 1) - node(j));
     }
+    int segment = 0;
+    for (int k = 0; k < LUM_LOBE_SEGMENTS; k++) {
+        while (lobe->sum[segment + 1] <= lobe->sum[LUM_LOBE_SEGMENTS] * k / LUM_LOBE_SEGMENTS) {
+            segment++;
+        }
+        lobe->guide[k] = (uint8_t)segment;
+    }
 }
 
 /* Segment of q and place in it. */
@@ -170,17 +177,19 @@ double lum_lobe_sample(const lum_lobe_set *set, double alpha, double x)
             x = (y - a) / b;
         }
     }
-    double target = (x < 1 ? x : 1) * lobe->sum[LUM_LOBE_SEGMENTS];
-    int low = 0; /* the last node with sum <= target; without branches, which would be mispredicted half of the time */
-    for (int step = LUM_LOBE_SEGMENTS / 2; step; step /= 2) {
-        low += lobe->sum[low + step] <= target ? step : 0;
+    x = x < 1 ? x : 1;
+    double target = x * lobe->sum[LUM_LOBE_SEGMENTS];
+    int part = (int)(x * LUM_LOBE_SEGMENTS);
+    int low = lobe->guide[part < LUM_LOBE_SEGMENTS ? part : LUM_LOBE_SEGMENTS - 1];
+    while (low < LUM_LOBE_SEGMENTS - 1 && lobe->sum[low + 1] <= target) {
+        low++;
     }
     /* Solve a s + (b - a) s^2 / 2 = t, in the form that is stable for b near a. */
     double q0 = node(low), width = node(low + 1) - q0, a = lobe->rest[low], b = lobe->rest[low + 1];
     double t = (target - lobe->sum[low]) / width;
     double root = a * a + 2 * (b - a) * t;
     double s = 2 * t / (a + sqrt(root > 0 ? root : 0));
-    return sqrt(q0 + width * (s < 1 ? s : 1));
+    return q0 + width * (s < 1 ? s : 1);
 }
 
 /* Cosine-weighted mean over the hemisphere: integral of f(sqrt(q)) dq. */

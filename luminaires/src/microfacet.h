@@ -22,6 +22,7 @@ enum { LUM_LOBE_SEGMENTS = 64 /* a power of two */, LUM_LOBE_ROUGHNESSES = 24 };
 typedef struct lum_lobe {
     double rest[LUM_LOBE_SEGMENTS + 1]; /* 1 - E at node j, q = (j / LUM_LOBE_SEGMENTS)^4 */
     double sum[LUM_LOBE_SEGMENTS + 1];  /* integral of rest dq from 0 to node j; the last is 1 - E_avg */
+    uint8_t guide[LUM_LOBE_SEGMENTS];   /* of part k of LUM_LOBE_SEGMENTS equal parts of the sum: the segment where it begins */
 } lum_lobe;
 
 /* Over roughness (sqrt of alpha): one lobe if it is constant, else LUM_LOBE_ROUGHNESSES + 1 equally spaced ones. */
@@ -68,7 +69,7 @@ typedef struct lum_table_store {
 /* 1 - E and 1 - E_avg at a roughness. */
 double lum_lobe_rest(const lum_lobe_set *set, double alpha, double mu);
 double lum_lobe_total(const lum_lobe_set *set, double alpha);
-/* Cosine of a direction distributed as p above; x in [0,1). */
+/* Squared cosine q of a direction distributed as p above; x in [0,1). */
 double lum_lobe_sample(const lum_lobe_set *set, double alpha, double x);
 
 /* The single-scattering albedo E(mu) by quadrature: what the tables hold. n: points per dimension. */
@@ -90,14 +91,15 @@ static inline double ggx_d(double alpha, lmg_vec3 m)
     return a2 / (LUM_PI * e * e);
 }
 
-/* A facet normal seen from w (w.z > 0), distributed as its visible normals [heitz2018vndf], by spherical caps [dupuy2023caps]. */
-static inline lmg_vec3 ggx_sample_visible(double alpha, lmg_vec3 w, double x, double y)
+/* A facet normal seen from (s, 0, c), c > 0, distributed as its visible normals [heitz2018vndf], by spherical caps [dupuy2023caps].
+ */
+static inline lmg_vec3 ggx_sample_visible(double alpha, double s, double c, double x, double y)
 {
-    lmg_vec3 v = vec_unit(vec(alpha * w.x, alpha * w.y, w.z));
-    double s, c, z = (1 - y) * (1 + v.z) - v.z;
+    double vx = alpha * s, inverse = 1 / sqrt(vx * vx + c * c), vz = c * inverse;
+    double si, co, z = (1 - y) * (1 + vz) - vz;
     double r2 = (1 - z) * (1 + z), r = sqrt(r2 > 0 ? r2 : 0);
-    sincos_turns(x, &s, &c);
-    return vec_unit(vec(alpha * (r * c + v.x), alpha * (r * s + v.y), z + v.z + 0x1p-60 /* never the zero vector */));
+    sincos_turns(x, &si, &co);
+    return vec_unit(vec(alpha * (r * co + vx * inverse), alpha * r * si, z + vz + 0x1p-60 /* never the zero vector */));
 }
 
 #endif

@@ -304,28 +304,38 @@ INLINE float repeated(float r, double lost)
 /* A microfacet as seen from wi. */
 typedef struct facet {
     double c;   /* cosine of wi with its normal */
-    double hz;  /* cosine of its normal with the surface's */
-    lmg_vec3 m; /* its normal */
+    lmg_vec3 h; /* its normal; axes: x in the plane of incidence towards wi, z the shading normal */
 } facet;
 
 INLINE facet sample_facet(const side *at, lmg_vec3 wi, double alpha, const double xi[4])
 {
-    lmg_vec3 x, y;
-    vec_frame(at->n, &x, &y);
-    lmg_vec3 local = vec(vec_dot(wi, x), vec_dot(wi, y), at->ci);
-    lmg_vec3 h = ggx_sample_visible(alpha, local, xi[0], xi[1]);
     facet f;
-    f.c = vec_dot(local, h);
+    double s = vec_length(vec_along(wi, at->n, -at->ci));
+    f.h = ggx_sample_visible(alpha, s, at->ci, xi[0], xi[1]);
+    f.c = s * f.h.x + at->ci * f.h.z;
     f.c = f.c < 1 ? f.c : 1;
-    f.hz = h.z;
-    f.m = vec(h.x * x.x + h.y * y.x + h.z * at->n.x, h.x * x.y + h.y * y.y + h.z * at->n.y, h.x * x.z + h.y * y.z + h.z * at->n.z);
     return f;
+}
+
+/* Its normal in the model frame. */
+INLINE lmg_vec3 facet_normal(const side *at, lmg_vec3 wi, const facet *f)
+{
+    lmg_vec3 x = vec_along(wi, at->n, -at->ci), y;
+    double s2 = vec_dot(x, x);
+    if (s2 > 1e-24) { /* closer to the normal the frame doesn't matter */
+        x = vec_scale(x, 1 / sqrt(s2));
+        y = vec_cross(at->n, x);
+    } else {
+        vec_frame(at->n, &x, &y);
+    }
+    return vec(f->h.x * x.x + f->h.y * y.x + f->h.z * at->n.x, f->h.x * x.y + f->h.y * y.y + f->h.z * at->n.y,
+               f->h.x * x.z + f->h.y * y.z + f->h.z * at->n.z);
 }
 
 /* Share of the light reflected at the facet that gets away in one bounce: G2/G1, height-correlated Smith [heitz2014masking]. */
 INLINE double keeps_reflected(const side *at, const facet *f, double alpha)
 {
-    double z = 2 * f->c * f->hz - at->ci;
+    double z = 2 * f->c * f->h.z - at->ci;
     if (!(z > 0)) {
         return 0;
     }
@@ -346,7 +356,7 @@ INLINE void sample_metal(const lum_surface *surface, const side *at, lmg_vec3 wi
         double alpha = (double)surface->alpha, v = xi[2];
         facet f = sample_facet(at, wi, alpha, xi);
         if (!choose(&v, keeps_reflected(at, &f, alpha))) {
-            out->wo = vec_about(at->g, lum_lobe_sample(surface->tables->metal, alpha, v), u);
+            out->wo = vec_about_squared(at->g, lum_lobe_sample(surface->tables->metal, alpha, v), u);
             float average[3];
             metal_average(surface, average);
             double lost = lum_lobe_total(surface->tables->metal, alpha);
@@ -356,7 +366,7 @@ INLINE void sample_metal(const lum_surface *surface, const side *at, lmg_vec3 wi
             depolarize(pol);
             return;
         }
-        m = f.m;
+        m = facet_normal(at, wi, &f);
         c = f.c;
     }
     lmg_vec3 wo = vec_along(vec_scale(wi, -1), m, 2 * c);
@@ -387,9 +397,9 @@ INLINE void sample_base(const lum_surface *surface, const side *at, const lum_lo
                         lum_polarization *pol, lum_scattered *out)
 {
     bool through = choose(&u, (double)surface->diffuse_transmission);
-    double mu = coat ? lum_lobe_sample(coat, (double)surface->alpha, u) : sqrt(1 - u);
+    double q = coat ? lum_lobe_sample(coat, (double)surface->alpha, u) : u;
     depolarize(pol);
-    out->wo = vec_about(through ? vec_scale(at->g, -1) : at->g, mu, azimuth);
+    out->wo = vec_about_squared(through ? vec_scale(at->g, -1) : at->g, q, azimuth);
     out->event = through ? LUM_TRANSMITTED : LUM_REFLECTED;
     set_weight(out, through ? surface->material->diffuse_transmission_color : surface->base);
 }
@@ -403,14 +413,19 @@ INLINE void sample_coated(const lum_surface *surface, const side *at, lmg_vec3 w
     facet h = {0};
     if (rough) {
         h = sample_facet(at, wi, alpha, xi);
-        m = h.m;
         c = h.c;
+        if (pol && pol->known) {
+            m = facet_normal(at, wi, &h);
+        }
     }
     interface f = dielectric(c, eta);
     shares in = shares_of(pol, d, m);
     if (!choose(&u, in.s * f.fs + in.p * f.fp) || (rough && !choose(&v, keeps_reflected(at, &h, alpha)))) {
         sample_base(surface, at, coat, v, u, pol, out);
         return;
+    }
+    if (rough) {
+        m = facet_normal(at, wi, &h);
     }
     lmg_vec3 wo = vec_along(d, m, 2 * c);
     set_white(out);
@@ -450,7 +465,7 @@ INLINE void sample_clear(const lum_surface *surface, const side *at, lmg_vec3 wi
     facet h = {0};
     if (rough) {
         h = sample_facet(at, wi, alpha, xi);
-        m = h.m;
+        m = facet_normal(at, wi, &h);
         c = h.c;
     }
     interface f = thin ? thin_wall(c, eta) : dielectric(c, eta);
@@ -512,11 +527,11 @@ repeated:
         through = repeated_through(tables, alpha, eta, at->front);
     }
     if (choose(&u, through)) {
-        out->wo = vec_about(vec_scale(at->g, -1), lum_lobe_sample(other, alpha, u), v);
+        out->wo = vec_about_squared(vec_scale(at->g, -1), lum_lobe_sample(other, alpha, u), v);
         out->event = LUM_TRANSMITTED | boundary;
         set_weight(out, surface->base);
     } else {
-        out->wo = vec_about(at->g, lum_lobe_sample(same, alpha, u), v);
+        out->wo = vec_about_squared(at->g, lum_lobe_sample(same, alpha, u), v);
         out->event = LUM_REFLECTED;
         set_white(out);
     }
@@ -542,7 +557,7 @@ INLINE void scatter(const lum_surface *surface, lmg_vec3 wi, float eta_outside, 
         depolarize(pol);
         out->event = through ? LUM_TRANSMITTED : LUM_REFLECTED;
         set_weight(out, through ? surface->material->diffuse_transmission_color : surface->base);
-        out->wo = vec_about(through ? vec_scale(at.g, -1) : at.g, sqrt(1 - xi[1]), xi[0]);
+        out->wo = vec_about_squared(through ? vec_scale(at.g, -1) : at.g, xi[1], xi[0]);
         return;
     }
     case LUM_SURFACE_CONDUCTOR:

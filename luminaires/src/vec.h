@@ -81,14 +81,23 @@ static inline void sincos_turns(double u, double *s, double *c)
     *c = (k + 1) & 2 ? -b : b;
 }
 
-/* A direction about n (unit) with cosine mu and azimuth u (turns). */
-static inline lmg_vec3 vec_about(lmg_vec3 n, double mu, double u)
+/* A direction about n (unit) with cosine mu, sine r and azimuth u (turns). */
+static inline lmg_vec3 vec_turned(lmg_vec3 n, double mu, double r, double u)
 {
     lmg_vec3 x, y;
     vec_frame(n, &x, &y);
-    double s, c, r = sqrt(mu < 1 ? (1 - mu) * (1 + mu) : 0);
+    double s, c;
     sincos_turns(u, &s, &c);
     return vec(r * (c * x.x + s * y.x) + mu * n.x, r * (c * x.y + s * y.y) + mu * n.y, r * (c * x.z + s * y.z) + mu * n.z);
+}
+static inline lmg_vec3 vec_about(lmg_vec3 n, double mu, double u)
+{
+    return vec_turned(n, mu, sqrt(mu < 1 ? (1 - mu) * (1 + mu) : 0), u);
+}
+/* The same with squared cosine q in [0,1]: distributed as the cosine if q is uniform. */
+static inline lmg_vec3 vec_about_squared(lmg_vec3 n, double q, double u)
+{
+    return vec_turned(n, sqrt(q), sqrt(1 - q), u);
 }
 
 #endif
