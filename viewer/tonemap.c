@@ -8,27 +8,38 @@ static const double GREY = 0.18;
 static const double KNEE = 0.4;
 static const double WHITE = 32;
 
-/* Automatic exposure looks at this many blocks along the shorter side. */
+/* Automatic exposure looks at this many blocks along the shorter side, and not at what is darker than this share of the mean. */
 enum { BLOCKS = 40 };
+static const double DARK = 1e-3;
+
+/* Mean luminance of the block whose upper left corner is (x0,y0). */
+static double block_luminance(const view_image *image, uint32_t x0, uint32_t y0, uint32_t block)
+{
+    double sum = 0;
+    uint32_t n = 0;
+    for (uint32_t y = y0; y < y0 + block && y < image->height; y++) {
+        for (uint32_t x = x0; x < x0 + block && x < image->width; x++) {
+            sum += lmg_luminance(&image->rgb[3 * ((size_t)y * image->width + x)]);
+            n++;
+        }
+    }
+    return sum / n;
+}
 
 double view_exposure_auto(const view_image *image)
 {
-    /* Means of small blocks: the logarithm of a noisy pixel would be too low on average. */
     uint32_t shorter = image->width < image->height ? image->width : image->height, block = (shorter + BLOCKS - 1) / BLOCKS;
+    double mean = 0;
+    for (size_t i = 0; i < (size_t)image->width * image->height; i++) {
+        mean += lmg_luminance(&image->rgb[3 * i]) / ((double)image->width * image->height);
+    }
     double sum = 0;
     size_t count = 0;
-    for (uint32_t y0 = 0; y0 < image->height; y0 += block) {
-        for (uint32_t x0 = 0; x0 < image->width; x0 += block) {
-            double mean = 0;
-            uint32_t n = 0;
-            for (uint32_t y = y0; y < y0 + block && y < image->height; y++) {
-                for (uint32_t x = x0; x < x0 + block && x < image->width; x++) {
-                    mean += lmg_luminance(&image->rgb[3 * ((size_t)y * image->width + x)]);
-                    n++;
-                }
-            }
-            if (mean > 0) {
-                sum += log(mean / n);
+    for (uint32_t y = 0; y < image->height; y += block) {
+        for (uint32_t x = 0; x < image->width; x += block) {
+            double luminance = block_luminance(image, x, y, block);
+            if (luminance > DARK * mean) {
+                sum += log(luminance);
                 count++;
             }
         }

@@ -3,8 +3,8 @@
  * From luminance to a screen.
  *
  * Exposure: one luminance of the scene, "mid-grey", is shown as 18 % of the screen's white.  Automatic: the geometric mean of the
- * luminance over the picture (pixels that got no light left out), as Reinhard et al. 2002 do; or an exposure value at ISO 100, EV =
- * log2(L / 0.125 cd/m2) (reflected-light meter constant K = 12.5); or cd/m2.
+ * luminance over the picture, taken over small blocks against noise (blocks under a thousandth of the mean left out), as Reinhard
+ * et al. 2002 do; or an exposure value at ISO 100, EV = log2(L / 0.125 cd/m2) (reflected-light meter constant K = 12.5); or cd/m2.
  *
  * Tone curve, on luminance x in units of screen white: y = x up to KNEE = 0.4 (there the picture is proportional to luminance),
  * above it y = KNEE + (1 - KNEE) z (1 + z / w^2) / (1 + z), z = (x - KNEE) / (1 - KNEE): joins with equal slope and reaches white,
