@@ -8,8 +8,7 @@
 #include <stdatomic.h>
 #include <unistd.h>
 
-/* Photons in a chunk: enough that taking one costs nothing, few enough that the threads finish together. */
-enum { CHUNK = 2048, MAX_THREADS = 1024 };
+enum { MAX_THREADS = 1024 };
 
 typedef struct job {
     const bake_work *work;
@@ -38,11 +37,11 @@ static void *work_through(void *argument)
     job *j = w->job;
     const unsigned saved = lum_thread_begin();
     for (;;) {
-        const uint64_t at = atomic_fetch_add_explicit(&j->next, CHUNK, memory_order_relaxed);
+        const uint64_t at = atomic_fetch_add_explicit(&j->next, BAKE_CHUNK, memory_order_relaxed);
         if (at >= j->count)
             break;
         const uint64_t left = j->count - at;
-        j->work->chunk(j->work->self, w->state, j->first + at, left < CHUNK ? left : CHUNK);
+        j->work->chunk(j->work->self, w->state, j->first + at, left < BAKE_CHUNK ? left : BAKE_CHUNK);
     }
     lum_thread_end(saved);
     return NULL;
@@ -52,7 +51,7 @@ lmg_result bake_parallel(const bake_work *work, uint64_t first, uint64_t count, 
 {
     if (count == 0)
         return LMG_OK;
-    const uint64_t chunks = (count - 1) / CHUNK + 1;
+    const uint64_t chunks = (count - 1) / BAKE_CHUNK + 1;
     threads = bake_thread_count(threads);
     if (threads > chunks)
         threads = (unsigned)chunks;

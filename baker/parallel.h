@@ -6,6 +6,9 @@
 
 #include <lumigraph/lumigraph.h>
 
+/* Numbers in a chunk, at most: enough that taking one costs nothing, few enough that the threads finish together. */
+enum { BAKE_CHUNK = 4096 };
+
 typedef struct bake_work {
     void *self;
     /* One thread's own state, made before the threads start; NULL = out of memory. */

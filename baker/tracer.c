@@ -41,7 +41,6 @@ static const uint32_t RUNAWAY_SEGMENTS = 1000000;
 enum { MAX_PENDING = 64 };
 
 typedef struct path {
-    lmg_vec3 origin, direction;
     double colour[3]; /* luminance 1 */
     lum_rng rng;
     uint64_t number;
@@ -50,6 +49,12 @@ typedef struct path {
     int32_t inside[MAX_NESTED]; /* materials of the solids around, innermost last */
     lum_polarization polarization;
 } path;
+
+/* A path that waits, with its ray. */
+typedef struct waiting_path {
+    lmg_vec3 origin, direction;
+    path path;
+} waiting_path;
 
 /* What the loop needs of a material, in one cache line per few materials. */
 typedef struct medium {
@@ -78,10 +83,21 @@ typedef struct job {
     counts counts;
 } job;
 
+/*
+ * A thread follows WAVE paths side by side, one segment each in turn: their rays are traced together, then all hits are worked on.  The
+ * memory that a hit needs is on its way meanwhile, and code and branches stay warm; a path's result doesn't depend on its company.
+ */
+enum { WAVE = 32 };
+
 typedef struct worker {
     counts counts;
+    uint32_t alive; /* paths in the wave: the first ones */
+    lmg_vec3 origin[WAVE], direction[WAVE];
+    lum_hit hit[WAVE];
+    path path[WAVE];
     uint32_t pending_count;
-    path pending[MAX_PENDING];
+    waiting_path pending[MAX_PENDING];
+    uint16_t order[BAKE_CHUNK]; /* of a chunk's photons: order_photons */
     float *record; /* benchmark only, else NULL */
     size_t record_count, record_capacity;
     bake_batch batch;
@@ -127,17 +143,17 @@ static uint32_t survivors(path *p, const double share[3])
     return (uint32_t)(whole < MAX_PENDING ? whole : MAX_PENDING) + (u < q - whole);
 }
 
-/* Puts copies of a multiplied photon aside; each goes on from where p is now, with random numbers of its own. */
-static void put_aside(worker *w, const path *p, uint32_t copies)
+/* Puts copies of a multiplied photon aside; each goes on from where it is now, with random numbers of its own. */
+static void put_aside(worker *w, uint32_t i, uint32_t copies)
 {
-    for (uint32_t i = 0; i < copies; ++i) {
+    for (uint32_t k = 0; k < copies; ++k) {
         if (w->pending_count == MAX_PENDING) {
             ++w->counts.lost;
             continue;
         }
-        path *copy = &w->pending[w->pending_count++];
-        *copy = *p;
-        copy->rng.state = lum_mix64(p->rng.state + i + 1);
+        waiting_path *copy = &w->pending[w->pending_count++];
+        *copy = (waiting_path){w->origin[i], w->direction[i], w->path[i]};
+        copy->path.rng.state = lum_mix64(copy->path.rng.state + k + 1);
     }
 }
 
@@ -169,135 +185,205 @@ static float index_outside(const tracer *t, const path *p, int32_t material, boo
     return n > 0 ? t->media[p->inside[n - 1]].ior : 1.0f;
 }
 
-/* Follows a path to its end. */
-static void follow(const tracer *t, worker *w, path *p)
+static void escape(const tracer *t, worker *w, uint32_t i)
 {
-    const lmg_vec3 centre = t->model->centre;
-    for (;;) {
-        if (w->record && w->record_count < w->record_capacity) {
-            float *r = w->record + 6 * w->record_count++;
-            r[0] = (float)p->origin.x, r[1] = (float)p->origin.y, r[2] = (float)p->origin.z;
-            r[3] = (float)p->direction.x, r[4] = (float)p->direction.y, r[5] = (float)p->direction.z;
-        }
-        ++w->counts.segments;
-        lum_hit hit;
-        if (!lum_scene_intersect(t->scene, p->origin, p->direction, &hit)) {
-            if (p->nested > 0) {
-                ++w->counts.lost;
-                ++w->counts.lost_inside;
-                return;
-            }
-            ++w->counts.escaped;
-            lmg_ray *ray = bake_batch_next(&w->batch);
-            ray->origin = (lmg_vec3){p->origin.x + centre.x, p->origin.y + centre.y, p->origin.z + centre.z};
-            ray->direction = p->direction;
-            for (int i = 0; i < 3; ++i)
-                ray->flux[i] = (float)p->colour[i];
-            ray->wavelength = 0;
-            ray->number = p->number;
-            return;
-        }
-        if (++p->segments > RUNAWAY_SEGMENTS) {
+    const path *p = &w->path[i];
+    if (p->nested > 0) {
+        ++w->counts.lost;
+        ++w->counts.lost_inside;
+        return;
+    }
+    ++w->counts.escaped;
+    const lmg_vec3 centre = t->model->centre, o = w->origin[i];
+    lmg_ray *ray = bake_batch_next(&w->batch);
+    ray->origin = (lmg_vec3){o.x + centre.x, o.y + centre.y, o.z + centre.z};
+    ray->direction = w->direction[i];
+    for (int k = 0; k < 3; ++k)
+        ray->flux[k] = (float)p->colour[k];
+    ray->wavelength = 0;
+    ray->number = p->number;
+}
+
+/* What happens to path i of the wave at the end of its segment.  Returns whether it goes on. */
+static bool interact(const tracer *t, worker *w, uint32_t i)
+{
+    path *p = &w->path[i];
+    const lum_hit *hit = &w->hit[i];
+    ++w->counts.segments;
+    if (hit->triangle == LUM_MISS) {
+        escape(t, w, i);
+        return false;
+    }
+    if (++p->segments > RUNAWAY_SEGMENTS) {
+        ++w->counts.lost;
+        return false;
+    }
+
+    lum_surface surface;
+    lum_surface_at(t->scene, hit, w->direction[i], &surface);
+    const int32_t material = (int32_t)(surface.material - t->model->materials);
+    if (t->media[material].solid && !surface.front && !is_inside(p, material)) {
+        /* The path has been inside all along: it was born there.  Known from now on, and for this segment. */
+        if (p->nested == MAX_NESTED) {
             ++w->counts.lost;
-            return;
+            return false;
         }
+        memmove(&p->inside[1], &p->inside[0], p->nested * sizeof(p->inside[0]));
+        p->inside[0] = material;
+        ++p->nested;
+    }
 
-        lum_surface surface;
-        lum_surface_at(t->scene, &hit, p->direction, &surface);
-        const int32_t material = t->model->triangle_material[hit.triangle];
-        const bool solid = t->media[material].solid;
-        if (solid && !surface.front && !is_inside(p, material)) {
-            /* The path has been inside all along: it was born there.  Known from now on, and for this segment. */
-            if (p->nested == MAX_NESTED) {
-                ++w->counts.lost;
-                return;
-            }
-            memmove(&p->inside[1], &p->inside[0], p->nested * sizeof(p->inside[0]));
-            p->inside[0] = material;
-            ++p->nested;
-        }
-
-        uint32_t photons = 1; /* that go through the same event */
-        if (p->nested > 0) {
-            const medium *m = &t->media[p->inside[p->nested - 1]];
-            if (m->absorbs) {
-                double share[3];
-                for (int i = 0; i < 3; ++i)
-                    share[i] = exp(-m->absorption[i] * hit.t);
-                photons = survivors(p, share);
-                w->counts.absorbed += 1 - (int64_t)photons;
-                if (photons == 0)
-                    return;
-            }
-        }
-
-        if (surface.coverage < 1 && lum_rng_next(&p->rng) >= (double)surface.coverage) {
-            p->origin = lum_offset(&hit, p->direction);
-        } else {
-            double xi[4];
-            for (int i = 0; i < 4; ++i)
-                xi[i] = lum_rng_next(&p->rng);
-            const lmg_vec3 wi = {-p->direction.x, -p->direction.y, -p->direction.z};
-            lum_scattered s;
-            lum_scatter_trace(&surface, wi, index_outside(t, p, material, surface.front), xi, &p->polarization, &s);
-            if (!(s.event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
-                w->counts.absorbed += photons;
-                return;
-            }
-            const double share[3] = {(double)s.weight[0], (double)s.weight[1], (double)s.weight[2]};
-            if (!isfinite(s.wo.x + s.wo.y + s.wo.z + share[0] + share[1] + share[2])) {
-                w->counts.lost += photons;
-                return;
-            }
-            const uint32_t each = survivors(p, share);
-            w->counts.absorbed += (int64_t)photons * (1 - (int64_t)each);
-            photons *= each;
+    uint32_t photons = 1; /* that go through the same event */
+    if (p->nested > 0) {
+        const medium *m = &t->media[p->inside[p->nested - 1]];
+        if (m->absorbs) {
+            double share[3];
+            for (int k = 0; k < 3; ++k)
+                share[k] = exp(-m->absorption[k] * hit->t);
+            photons = survivors(p, share);
+            w->counts.absorbed += 1 - (int64_t)photons;
             if (photons == 0)
-                return;
-            if (s.event & LUM_BOUNDARY) {
-                if (!surface.front) {
-                    leave(p, material);
-                } else if (p->nested < MAX_NESTED) {
-                    p->inside[p->nested++] = material;
-                } else {
-                    w->counts.lost += photons;
-                    return;
-                }
-            }
-            p->origin = lum_offset(&hit, s.wo);
-            /* One Newton step towards unit length: rounding doesn't add up over hundreds of bounces. */
-            const double n = 1.5 - 0.5 * (s.wo.x * s.wo.x + s.wo.y * s.wo.y + s.wo.z * s.wo.z);
-            p->direction = (lmg_vec3){s.wo.x * n, s.wo.y * n, s.wo.z * n};
+                return false;
         }
-        if (photons > 1)
-            put_aside(w, p, photons - 1);
+    }
+
+    if (surface.coverage < 1 && lum_rng_next(&p->rng) >= (double)surface.coverage) {
+        w->origin[i] = lum_offset(hit, w->direction[i]);
+    } else {
+        double xi[4];
+        for (int k = 0; k < 4; ++k)
+            xi[k] = lum_rng_next(&p->rng);
+        const lmg_vec3 d = w->direction[i], wi = {-d.x, -d.y, -d.z};
+        lum_scattered s;
+        lum_scatter_trace(&surface, wi, index_outside(t, p, material, surface.front), xi, &p->polarization, &s);
+        if (!(s.event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
+            w->counts.absorbed += photons;
+            return false;
+        }
+        const double share[3] = {(double)s.weight[0], (double)s.weight[1], (double)s.weight[2]};
+        if (!isfinite(s.wo.x + s.wo.y + s.wo.z + share[0] + share[1] + share[2])) {
+            w->counts.lost += photons;
+            return false;
+        }
+        const uint32_t each = survivors(p, share);
+        w->counts.absorbed += (int64_t)photons * (1 - (int64_t)each);
+        photons *= each;
+        if (photons == 0)
+            return false;
+        if (s.event & LUM_BOUNDARY) {
+            if (!surface.front) {
+                leave(p, material);
+            } else if (p->nested < MAX_NESTED) {
+                p->inside[p->nested++] = material;
+            } else {
+                w->counts.lost += photons;
+                return false;
+            }
+        }
+        w->origin[i] = lum_offset(hit, s.wo);
+        /* One Newton step towards unit length: rounding doesn't add up over hundreds of bounces. */
+        const double n = 1.5 - 0.5 * (s.wo.x * s.wo.x + s.wo.y * s.wo.y + s.wo.z * s.wo.z);
+        w->direction[i] = (lmg_vec3){s.wo.x * n, s.wo.y * n, s.wo.z * n};
+    }
+    if (photons > 1)
+        put_aside(w, i, photons - 1);
+    return true;
+}
+
+/* Starts photon `number` as path i of the wave; false if it is lost at once. */
+static bool start(const tracer *t, worker *w, uint32_t i, uint64_t number)
+{
+    path *p = &w->path[i];
+    p->number = number;
+    p->rng = lum_rng_stream(t->seed, number);
+    p->segments = 0;
+    p->nested = 0;
+    p->polarization = (lum_polarization){0};
+    double xi[6];
+    for (int k = 0; k < 6; ++k)
+        xi[k] = lum_rng_next(&p->rng);
+    lum_photon photon;
+    lum_emitters_sample(t->emitters, xi, next_number, &p->rng, &photon);
+    ++w->counts.photons;
+    w->origin[i] = photon.origin;
+    w->direction[i] = photon.direction;
+    for (int k = 0; k < 3; ++k)
+        p->colour[k] = (double)photon.flux[k];
+    const double y = luminance(p->colour); /* 1 to float precision */
+    const lmg_vec3 o = photon.origin, d = photon.direction;
+    if (!isfinite(o.x + o.y + o.z + d.x + d.y + d.z + y) || !(y > 0)) {
+        ++w->counts.lost;
+        return false;
+    }
+    const double scale = 1 / y;
+    for (int k = 0; k < 3; ++k)
+        p->colour[k] *= scale;
+    return true;
+}
+
+/* Copies the origins and directions of the wave's rays for the benchmark. */
+static void record(worker *w)
+{
+    for (uint32_t i = 0; i < w->alive && w->record_count < w->record_capacity; ++i) {
+        float *r = w->record + 6 * w->record_count++;
+        const lmg_vec3 o = w->origin[i], d = w->direction[i];
+        r[0] = (float)o.x, r[1] = (float)o.y, r[2] = (float)o.z;
+        r[3] = (float)d.x, r[4] = (float)d.y, r[5] = (float)d.z;
     }
 }
 
-static void trace_photon(const tracer *t, worker *w, uint64_t number)
+/* Puts the photons first .. first+count-1 (count at most BAKE_CHUNK) in the order of their first random number, roughly: it chooses the
+ * emitting triangle, so neighbours in this order start close together and find the emitter, and the tree around it, in the cache. */
+static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t count)
 {
-    path p = {.number = number, .rng = lum_rng_stream(t->seed, number)};
-    double xi[6];
-    for (int i = 0; i < 6; ++i)
-        xi[i] = lum_rng_next(&p.rng);
-    lum_photon photon;
-    lum_emitters_sample(t->emitters, xi, next_number, &p.rng, &photon);
-    ++w->counts.photons;
-    p.origin = photon.origin;
-    p.direction = photon.direction;
-    for (int i = 0; i < 3; ++i)
-        p.colour[i] = (double)photon.flux[i];
-    const double y = luminance(p.colour); /* 1 to float precision */
-    if (!isfinite(p.origin.x + p.origin.y + p.origin.z + p.direction.x + p.direction.y + p.direction.z + y) || !(y > 0)) {
-        ++w->counts.lost;
-        return;
+    enum { BUCKETS = 512 };
+    uint16_t bucket[BAKE_CHUNK], start_of[BUCKETS + 1] = {0};
+    for (uint32_t i = 0; i < count; ++i) {
+        lum_rng rng = lum_rng_stream(t->seed, first + i);
+        bucket[i] = (uint16_t)(lum_rng_next(&rng) * BUCKETS);
+        ++start_of[bucket[i] + 1];
     }
-    for (int i = 0; i < 3; ++i)
-        p.colour[i] /= y;
-    follow(t, w, &p);
-    while (w->pending_count > 0) {
-        p = w->pending[--w->pending_count];
-        follow(t, w, &p);
+    for (uint32_t b = 0; b < BUCKETS; ++b)
+        start_of[b + 1] = (uint16_t)(start_of[b + 1] + start_of[b]);
+    for (uint32_t i = 0; i < count; ++i)
+        w->order[start_of[bucket[i]]++] = (uint16_t)i;
+}
+
+/* Traces photons first .. first+count-1 (count at most BAKE_CHUNK) to their ends. */
+static void trace_photons(const tracer *t, worker *w, uint64_t first, uint64_t count)
+{
+    order_photons(t, w, first, (uint32_t)count);
+    uint32_t next = 0;
+    for (;;) {
+        while (w->alive < WAVE) {
+            if (w->pending_count > 0) {
+                const waiting_path *p = &w->pending[--w->pending_count];
+                w->origin[w->alive] = p->origin;
+                w->direction[w->alive] = p->direction;
+                w->path[w->alive++] = p->path;
+            } else if (next < count) {
+                w->alive += start(t, w, w->alive, first + w->order[next++]);
+            } else {
+                break;
+            }
+        }
+        if (w->alive == 0)
+            return;
+        if (w->record)
+            record(w);
+        lum_scene_intersect_many(t->scene, w->alive, w->origin, w->direction, w->hit);
+        for (uint32_t i = 0; i < w->alive;) {
+            if (interact(t, w, i)) {
+                ++i;
+                continue;
+            }
+            /* the last one takes the place of the one that ended; its hit is still to be worked on */
+            const uint32_t end_of_wave = --w->alive;
+            w->origin[i] = w->origin[end_of_wave];
+            w->direction[i] = w->direction[end_of_wave];
+            w->hit[i] = w->hit[end_of_wave];
+            w->path[i] = w->path[end_of_wave];
+        }
     }
 }
 
@@ -307,7 +393,7 @@ static void *begin(void *self)
     worker *w = malloc(sizeof(*w));
     if (w) {
         memset(&w->counts, 0, sizeof(w->counts));
-        w->pending_count = 0;
+        w->alive = w->pending_count = 0;
         w->record = NULL;
         w->record_count = w->record_capacity = 0;
         w->batch.sinks = j->sinks;
@@ -320,8 +406,7 @@ static void *begin(void *self)
 static void chunk(void *self, void *state, uint64_t first, uint64_t count)
 {
     const job *j = self;
-    for (uint64_t i = 0; i < count; ++i)
-        trace_photon(j->tracer, state, first + i);
+    trace_photons(j->tracer, state, first, count);
 }
 
 static void end(void *self, void *state)
@@ -435,8 +520,8 @@ size_t bake_tracer_record(const bake_source *source, uint64_t first, uint64_t co
         return 0;
     w->record = rays;
     w->record_capacity = capacity;
-    for (uint64_t i = 0; i < count && w->record_count < capacity; ++i)
-        trace_photon(j.tracer, w, first + i);
+    for (uint64_t i = 0; i < count && w->record_count < capacity; i += BAKE_CHUNK)
+        trace_photons(j.tracer, w, first + i, count - i < BAKE_CHUNK ? count - i : BAKE_CHUNK);
     const size_t written = w->record_count;
     end(&j, w);
     return written;

@@ -357,22 +357,43 @@ static inline bool trace(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, float n
     return rayhit->hit.geomID != RTC_INVALID_GEOMETRY_ID;
 }
 
-bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit *hit)
+/* The hit that rayhit names, or the first true one after it. */
+static inline bool settle(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, struct RTCRayHit *rayhit, lum_hit *hit)
 {
-    struct RTCRayHit rayhit;
     float near = 0;
-    while (trace(scene, origin, direction, near, INFINITY, &rayhit)) {
-        hit->triangle = rayhit.hit.primID;
-        if (scene->normals) { /* lum_surface_at comes next: let memory work meanwhile */
-            __builtin_prefetch(scene->normals[rayhit.hit.primID]);
-        }
-        if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, rayhit.hit.u, rayhit.hit.v, hit)) {
+    do {
+        hit->triangle = rayhit->hit.primID;
+        if (confirm_hit(&scene->triangles[rayhit->hit.primID], origin, direction, rayhit->hit.u, rayhit->hit.v, hit)) {
             return true;
         }
         /* Not met in truth.  It was the closest that Embree found, so all others lie beyond. */
-        near = beyond(rayhit.ray.tfar, near);
-    }
+        near = beyond(rayhit->ray.tfar, near);
+    } while (trace(scene, origin, direction, near, INFINITY, rayhit));
     return false;
+}
+
+bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit *hit)
+{
+    struct RTCRayHit rayhit;
+    return trace(scene, origin, direction, 0, INFINITY, &rayhit) && settle(scene, origin, direction, &rayhit, hit);
+}
+
+void lum_scene_intersect_many(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions, lum_hit *hits)
+{
+    struct RTCRayHit rayhits[LUM_MAX_RAYS];
+    for (size_t i = 0; i < count; i++) {
+        if (trace(scene, origins[i], directions[i], 0, INFINITY, &rayhits[i])) {
+            __builtin_prefetch(&scene->triangles[rayhits[i].hit.primID]);
+            if (scene->normals) {
+                __builtin_prefetch(scene->normals[rayhits[i].hit.primID]);
+            }
+        }
+    }
+    for (size_t i = 0; i < count; i++) {
+        if (rayhits[i].hit.geomID == RTC_INVALID_GEOMETRY_ID || !settle(scene, origins[i], directions[i], &rayhits[i], &hits[i])) {
+            hits[i].triangle = LUM_MISS;
+        }
+    }
 }
 
 /* Any-hit queries can't be checked in double triangle by triangle, and Embree's distances are off by the rounding of its input over

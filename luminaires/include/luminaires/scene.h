@@ -33,6 +33,12 @@ typedef struct lum_hit {
 /* Closest hit with t > 0.  direction: unit.  Thread-safe. */
 bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit *hit);
 
+/* Closest hits of several rays, count at most LUM_MAX_RAYS: the same as lum_scene_intersect for each, but what a hit needs of its triangle
+ * is fetched from memory while the other rays are traced.  hits[i].triangle is LUM_MISS where ray i hits nothing. */
+enum { LUM_MAX_RAYS = 64 };
+#define LUM_MISS UINT32_MAX
+void lum_scene_intersect_many(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions, lum_hit *hits);
+
 /* Whether something lies on the segment origin + t direction, 0 < t < distance.  Ignores alpha: see lum_scene_transmittance users.
  */
 bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance);
