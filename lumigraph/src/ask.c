@@ -160,6 +160,7 @@ static void weights_flush(cell_weights *w, const lmg_field *field, uint32_t j, d
  * depends on u alone there and t on v alone, so that L is constant in each rectangle, exactly.  What is left is smooth and is integrated by
  * Gauss' rule of 2 x 2 points on pieces small beside their distance: relative error below 1e-4.  Of aperture slabs the (s,t) borders
  * are curved: there pieces are also small beside the (s,t) cells as seen from the point, and each point takes the cell it falls in.
+ * Where others own parts of the plane, or lines pass the bounds by, pieces on the border are quartered until it doesn't matter.
  */
 typedef struct cuts {
     double *x;
@@ -203,20 +204,98 @@ static int pieces(double wanted)
     return (int)d_clamp(ceil(wanted), 1, MAX_PIECES);
 }
 
+/* What the integration over one slab's plane shares. */
+typedef struct integral {
+    const lmg_field *field;
+    uint32_t j;
+    const lmg_slab *slab;
+    lmg_vec3 point, normal;
+    double h;   /* of the point past the plane; negative: before it */
+    bool whole; /* every line is the slab's own and comes out of the bounds before the point */
+    cell_weights *weights;
+} integral;
+
+/* The light's line from (u,v) to the point, of any length. */
+static inline lmg_vec3 line_from(const integral *q, double u, double v)
+{
+    lmg_vec3 from = v_fma(v_fma(q->slab->o, u, q->slab->a), v, q->slab->b);
+    return q->h < 0 ? v_sub(from, q->point) : v_sub(q->point, from);
+}
+
+/* Whether the line through (u,v) carries the slab's own light to the point. */
+static bool is_own(const integral *q, double u, double v)
+{
+    double own[4];
+    lmg_vec3 d = line_from(q, u, v);
+    return lmg_downstream(&q->field->layout, q->point, d, q->h) &&
+           (q->field->sampler->etendue[q->j].higher_count == 0 ||
+            lmg_plan_owner(&q->field->sampler->plan, v_fma(v_fma(q->slab->o, u, q->slab->a), v, q->slab->b), d, own) == (int)q->j);
+}
+
+/* Adds a rectangle by Gauss' 2 x 2 points, all in the (u,v) cell iu, iv and, of cube slabs, in one (s,t) cell. */
+static bool add_rectangle(const integral *q, uint64_t iu, uint64_t iv, double u0, double v0, double width, double height, bool each)
+{
+    static const double at[2] = {0.21132486540518712, 0.78867513459481288};
+    const lmg_slab *slab = q->slab;
+    const double *scale = q->field->sampler->plan.scale[q->j];
+    bool cube = slab->kind == LMG_SLAB_CUBE;
+    for (int k = 0; k < 4; k++) {
+        double u = u0 + at[k % 2] * width, v = v0 + at[k / 2] * height;
+        lmg_vec3 d = line_from(q, u, v);
+        double facing = -v_dot(d, q->normal), s, t;
+        if (!(facing > 0) || (each && !is_own(q, u, v)))
+            continue;
+        /* cube slabs: (s,t) by the rectangle's middle, where no rounding can cross a border */
+        double mu = cube ? u0 + 0.5 * width : u, mv = cube ? v0 + 0.5 * height : v;
+        lmg_vec3 middle = cube ? line_from(q, mu, mv) : d;
+        lmg_slab_st(slab, middle, v_dot(middle, slab->n), mu, mv, &s, &t);
+        if (!lmg_in_st(slab, s, slab->s0, slab->s1) || !lmg_in_st(slab, t, slab->t0, slab->t1))
+            continue;
+        double r2 = v_dot(d, d);
+        uint64_t is = lmg_cell_of(s, slab->s0, scale[2], slab->ns), it = lmg_cell_of(t, slab->t0, scale[3], slab->nt);
+        if (!weights_add(q->weights, ((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is,
+                         0.25 * width * height * facing * fabs(q->h) / (r2 * r2)))
+            return false;
+    }
+    return true;
+}
+
+/* Levels by which a piece across a border of what the slab owns is quartered. */
+enum { BORDER_LEVELS = 6 };
+
+static bool add_piece(const integral *q, uint64_t iu, uint64_t iv, double u0, double v0, double width, double height, int levels)
+{
+    if (q->whole)
+        return add_rectangle(q, iu, iv, u0, v0, width, height, false);
+    int own = is_own(q, u0 + 0.5 * width, v0 + 0.5 * height);
+    for (int k = 0; k < 4; k++)
+        own += is_own(q, u0 + (k % 2) * width, v0 + (k / 2) * height);
+    if (own == 0)
+        return true;
+    if (own == 5 || levels == 0)
+        return add_rectangle(q, iu, iv, u0, v0, width, height, own != 5);
+    for (int k = 0; k < 4; k++)
+        if (!add_piece(q, iu, iv, u0 + 0.5 * width * (k % 2), v0 + 0.5 * height * (k / 2), 0.5 * width, 0.5 * height, levels - 1))
+            return false;
+    return true;
+}
+
 static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_vec3 point, lmg_vec3 normal, double rgb[3], double *variance,
                                       cell_weights *weights, lmg_error *err)
 {
     const lmg_slab *slab = &field->layout.slabs[j];
     const lmg_etendue *e = &field->sampler->etendue[j];
-    const lmg_plan *plan = &field->sampler->plan;
-    const double *scale = plan->scale[j];
-    lmg_vec3 w = v_sub(point, slab->o);
+    const double *scale = field->sampler->plan.scale[j];
+    lmg_vec3 w = v_sub(point, slab->o), extent = v_sub(field->layout.bounds_max, field->layout.bounds_min);
     double h = v_dot(w, slab->n), pu = v_dot(w, slab->a), pv = v_dot(w, slab->b);
-    if (!(h > 0) || field->slabs[j].flux == 0)
+    bool within = lmg_box_contains(field->layout.bounds_min, field->layout.bounds_max, point);
+    /* A plane that lies ahead of the light (h < 0) counts for points beside the bounds, and only where it sticks out of them. */
+    if (h == 0 || field->slabs[j].flux == 0 || (h < 0 && (e->inside || within || !lmg_box_behind(field->layout.bounds_min, field->layout.bounds_max, slab->n, point))))
         return LMG_OK;
+    const integral q = {field, j, slab, point, normal, h, lmg_etendue_is_full(e), weights};
     /* cube slabs: only the part of the plane seen at slopes up to 1 */
     bool cube = slab->kind == LMG_SLAB_CUBE;
-    double reach = cube ? h : (double)INFINITY;
+    double reach = cube ? fabs(h) : (double)INFINITY;
     double u0 = fmax(slab->u0, pu - reach), u1 = fmin(slab->u1, pu + reach), v0 = fmax(slab->v0, pv - reach), v1 = fmin(slab->v1, pv + reach);
     if (!(u1 > u0 && v1 > v0))
         return LMG_OK;
@@ -230,52 +309,29 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
         r = lmg_fail(err, LMG_ERROR_MEMORY, "illuminance: no memory");
         goto cleanup;
     }
-    /* Points that others own, or whose lines pass the bounds by, end somewhere inside a rectangle: those get at least 4 x 4 pieces. */
-    double least = lmg_etendue_is_full(e) ? 1 : 4;
-    for (size_t y = 0; y + 1 < cv.count; y++)
-        for (size_t x = 0; x + 1 < cu.count; x++) {
+    for (size_t y = 0; r == LMG_OK && y + 1 < cv.count; y++)
+        for (size_t x = 0; r == LMG_OK && x + 1 < cu.count; x++) {
             double a0 = cu.x[x], a = cu.x[x + 1] - a0, b0 = cv.x[y], b = cv.x[y + 1] - b0;
             if (!(a > 0 && b > 0))
                 continue;
             double du = d_clamp(pu, a0, a0 + a) - pu, dv = d_clamp(pv, b0, b0 + b) - pv, nearest = sqrt(h * h + du * du + dv * dv);
-            double wanted_u = fmax(least, 4 * a / nearest), wanted_v = fmax(least, 4 * b / nearest);
-            if (!cube) {
-                /* two points to a piece: three to an (s,t) cell */
-                wanted_u = fmax(wanted_u, 1.5 * a / nearest * scale[2]);
-                wanted_v = fmax(wanted_v, 1.5 * b / nearest * scale[3]);
+            double wanted_u = 4 * a / nearest, wanted_v = 4 * b / nearest;
+            if (!q.whole) {
+                /* nothing of the bounds' shadow is to slip through between corners and middle */
+                wanted_u = fmax(wanted_u, 12 * a / fabs(v_dot(extent, slab->a)));
+                wanted_v = fmax(wanted_v, 12 * b / fabs(v_dot(extent, slab->b)));
             }
-            int nx = 2 * pieces(wanted_u), ny = 2 * pieces(wanted_v);
-            double weight = a / nx * (b / ny);
+            if (!cube) {
+                /* two points to a piece: six to an (s,t) cell */
+                wanted_u = fmax(wanted_u, 3 * a / nearest * scale[2]);
+                wanted_v = fmax(wanted_v, 3 * b / nearest * scale[3]);
+            }
+            int nx = pieces(wanted_u), ny = pieces(wanted_v);
             uint64_t iu = lmg_cell_of(a0 + 0.5 * a, slab->u0, scale[0], slab->nu), iv = lmg_cell_of(b0 + 0.5 * b, slab->v0, scale[1], slab->nv);
             for (int m = 0; m < ny; m++)
-                for (int k = 0; k < nx; k++) {
-                    /* Gauss' points at +-1/sqrt(3) of each piece, which is two steps wide */
-                    double u = a0 + a / nx * (k % 2 ? k + 0.57735026918962576 : k + 1 - 0.57735026918962576);
-                    double v = b0 + b / ny * (m % 2 ? m + 0.57735026918962576 : m + 1 - 0.57735026918962576);
-                    lmg_vec3 from = v_fma(v_fma(slab->o, u, slab->a), v, slab->b), d = v_sub(point, from);
-                    double facing = -v_dot(d, normal);
-                    if (!(facing > 0))
-                        continue;
-                    /* which (s,t): cube slabs by the rectangle's middle, where no rounding can cross a border */
-                    double s, t;
-                    lmg_vec3 middle = cube ? v_sub(point, v_fma(v_fma(slab->o, a0 + 0.5 * a, slab->a), b0 + 0.5 * b, slab->b)) : d;
-                    lmg_slab_st(slab, middle, h, cube ? a0 + 0.5 * a : u, cube ? b0 + 0.5 * b : v, &s, &t);
-                    if (!lmg_in_st(slab, s, slab->s0, slab->s1) || !lmg_in_st(slab, t, slab->t0, slab->t1))
-                        continue;
-                    if (e->higher_count) {
-                        double own[4];
-                        if (lmg_plan_owner(plan, from, d, own) != (int)j)
-                            continue;
-                    }
-                    if (!lmg_downstream(&field->layout, point, d, h))
-                        continue;
-                    double r2 = v_dot(d, d);
-                    uint64_t is = lmg_cell_of(s, slab->s0, scale[2], slab->ns), it = lmg_cell_of(t, slab->t0, scale[3], slab->nt);
-                    if (!weights_add(weights, ((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is, weight * facing * h / (r2 * r2))) {
+                for (int k = 0; k < nx; k++)
+                    if (!add_piece(&q, iu, iv, a0 + a * k / nx, b0 + b * m / ny, a / nx, b / ny, BORDER_LEVELS))
                         r = lmg_fail(err, LMG_ERROR_MEMORY, "illuminance: no memory");
-                        goto cleanup;
-                    }
-                }
         }
     weights_flush(weights, field, j, rgb, variance);
 cleanup:
@@ -322,25 +378,26 @@ lmg_result lmg_field_intensity(const lmg_field *field, lmg_vec3 direction, doubl
         double dn = v_dot(direction, slab->n);
         if (!(dn > 0) || field->slabs[j].flux == 0 || (slab->kind == LMG_SLAB_CUBE && class != lmg_direction_class(slab->n)))
             continue;
-        /* one direction: a cell counts with its whole (u,v) area, unless others own parts of it or (s,t) varies across it */
-        bool whole = lmg_etendue_is_full(e) && (slab->kind == LMG_SLAB_APERTURE || isinf(slab->distance));
-        int pieces = whole ? 1 : 8;
-        double piece = 1 / (plan->scale[j][0] * plan->scale[j][1] * pieces * pieces);
+        /* One direction: a cell counts with the (u,v) area that is its own; where (s,t) isn't the direction alone, by 24 x 24 points. */
+        bool full = lmg_etendue_is_full(e);
+        int pieces_each = e->directions ? 1 : 24;
+        double width = 1 / (plan->scale[j][0] * pieces_each), height = 1 / (plan->scale[j][1] * pieces_each);
         for (uint32_t iv = 0; iv < slab->nv; iv++)
             for (uint32_t iu = 0; iu < slab->nu; iu++) {
-                for (int k = 0; k < pieces * pieces; k++) {
-                    double u = slab->u0 + (iu + (k % pieces + 0.5) / pieces) / plan->scale[j][0];
-                    double v = slab->v0 + (iv + (k / pieces + 0.5) / pieces) / plan->scale[j][1];
-                    double uvst[4], k0, k1;
+                for (int k = 0; k < pieces_each * pieces_each; k++) {
+                    double u0 = slab->u0 + width * (iu * (uint32_t)pieces_each + (uint32_t)(k % pieces_each));
+                    double v0 = slab->v0 + height * (iv * (uint32_t)pieces_each + (uint32_t)(k / pieces_each));
+                    double u = u0 + 0.5 * width, v = v0 + 0.5 * height, uvst[4] = {u, v, 0, 0}, own[4], k0, k1, piece = width * height;
                     lmg_vec3 from = v_fma(v_fma(slab->o, u, slab->a), v, slab->b);
-                    if (whole) {
-                        uvst[0] = u;
-                        uvst[1] = v;
-                        lmg_slab_st(slab, direction, dn, u, v, &uvst[2], &uvst[3]);
-                        if (!lmg_in_st(slab, uvst[2], slab->s0, slab->s1) || !lmg_in_st(slab, uvst[3], slab->t0, slab->t1))
-                            continue;
-                    } else if (lmg_plan_owner(plan, from, direction, uvst) != (int)j ||
-                               !lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, from, direction, &k0, &k1))
+                    lmg_slab_st(slab, direction, dn, u, v, &uvst[2], &uvst[3]);
+                    if (!lmg_in_st(slab, uvst[2], slab->s0, slab->s1) || !lmg_in_st(slab, uvst[3], slab->t0, slab->t1))
+                        continue;
+                    if (!full && e->directions)
+                        piece = lmg_etendue_area(e, u0, u0 + width, v0, v0 + height, direction, own);
+                    else if (!full && (lmg_plan_owner(plan, from, direction, own) != (int)j ||
+                                       !lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, from, direction, &k0, &k1)))
+                        continue;
+                    if (!(piece > 0))
                         continue;
                     uint64_t is = lmg_cell_of(uvst[2], slab->s0, plan->scale[j][2], slab->ns);
                     uint64_t it = lmg_cell_of(uvst[3], slab->t0, plan->scale[j][3], slab->nt);

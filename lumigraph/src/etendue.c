@@ -195,6 +195,9 @@ lmg_result lmg_etendue_prepare(lmg_etendue *e, const lmg_layout *layout, uint32_
             e->higher[e->higher_count++] = (uint8_t)k;
     }
     e->aligned_overlap = e->higher_count == 0 || (e->higher_count == 1 && lmg_same_frame(&layout->slabs[e->higher[0]], slab));
+    e->directions = st_is_direction(slab);
+    for (uint32_t k = 0; k < e->higher_count; k++)
+        e->directions = e->directions && st_is_direction(&layout->slabs[e->higher[k]]);
     /* the table serves only where it is small beside the cells it is for */
     size_t count = (size_t)slab->ns * slab->nt;
     if (st_is_direction(slab) && (uint64_t)slab->nu * slab->nv > 1 && count <= (size_t)1 << 24) {
@@ -333,8 +336,8 @@ static bool shadow_of_slab(const lmg_slab *x, const lmg_slab *slab, lmg_vec3 d, 
     return true;
 }
 
-/* (u,v) area of the cell that light of direction d can use. */
-static double effective_area(const lmg_etendue *e, const cell_box *c, lmg_vec3 d)
+/* (u,v) area of the cell that light of direction d can use; middle: of its part inside the bounds. */
+static double effective_area(const lmg_etendue *e, const cell_box *c, lmg_vec3 d, double middle[2])
 {
     polygon p = {4, {c->u0, c->u1, c->u1, c->u0}, {c->v0, c->v0, c->v1, c->v1}}, shadows[LMG_MAX_SLABS];
     double dn = v_dot(d, e->slab->n);
@@ -351,6 +354,11 @@ static double effective_area(const lmg_etendue *e, const cell_box *c, lmg_vec3 d
                 count++;
         }
     double total = area(&p);
+    middle[0] = middle[1] = 0;
+    for (int i = 0; i < p.n; i++) {
+        middle[0] += p.x[i] / p.n;
+        middle[1] += p.y[i] / p.n;
+    }
     if (count == 0)
         return total;
     if (count == 1) {
@@ -406,6 +414,12 @@ static double effective_area(const lmg_etendue *e, const cell_box *c, lmg_vec3 d
     return sum;
 }
 
+double lmg_etendue_area(const lmg_etendue *e, double u0, double u1, double v0, double v1, lmg_vec3 d, double middle[2])
+{
+    cell_box c = {.u0 = u0, .u1 = u1, .v0 = v0, .v1 = v1};
+    return effective_area(e, &c, d, middle);
+}
+
 /* Cells of a slab with a second plane at a finite distance, or beneath one: midpoints in all four dimensions, each asked for its owner. */
 static double effective_by_points(const lmg_etendue *e, const cell_box *c, double full)
 {
@@ -452,10 +466,7 @@ double lmg_etendue_effective(const lmg_etendue *e, uint32_t iu, uint32_t iv, uin
             return full;
         return fmax(full - box_etendue(slab, &m), 0);
     }
-    bool directions = st_is_direction(slab);
-    for (uint32_t k = 0; k < e->higher_count; k++)
-        directions = directions && st_is_direction(&e->layout->slabs[e->higher[k]]);
-    if (!directions)
+    if (!e->directions)
         return effective_by_points(e, &c, full);
     /* Midpoints in direction, about 48 across the whole domain of (s,t), at least 2 and at most 16 in a cell each way: what is
      * integrated is continuous, so that the error is a fraction of a percent of cells that are cut at all. */
@@ -470,7 +481,8 @@ double lmg_etendue_effective(const lmg_etendue *e, uint32_t iu, uint32_t iv, uin
             lmg_slab_ray(slab, uvst, &x, &d);
             double z = v_dot(d, slab->n), weight = slab->kind == LMG_SLAB_CUBE ? z * z * z * z : 1;
             all += weight;
-            sum += weight * effective_area(e, &c, d);
+            double middle[2];
+            sum += weight * effective_area(e, &c, d, middle);
         }
     return fmin(full * (sum / (all * cell_area)), full);
 }

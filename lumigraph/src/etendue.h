@@ -17,6 +17,7 @@ typedef struct lmg_etendue {
     uint32_t higher_count; /* slabs of higher priority that own rays of this one, without those inside another such slab */
     uint8_t higher[LMG_MAX_SLABS];
     bool aligned_overlap;  /* at most one, in the same frame: overlap is a product of rectangles */
+    bool directions;       /* (s,t) is the direction alone, of this slab and of those: lmg_etendue_area serves */
     bool inside;           /* every line of the slab passes through the bounds */
 } lmg_etendue;
 
@@ -29,5 +30,9 @@ bool lmg_etendue_is_full(const lmg_etendue *e);
 
 double lmg_etendue_full(const lmg_etendue *e, uint32_t iu, uint32_t iv, uint32_t is, uint32_t it);
 double lmg_etendue_effective(const lmg_etendue *e, uint32_t iu, uint32_t iv, uint32_t is, uint32_t it);
+
+/* Part of a (u,v) rectangle, m2, whose lines of direction d are the slab's own and pass through the bounds; only if e->directions.
+ * middle: (u,v) of a point whose line passes through the bounds, if the part isn't empty. */
+double lmg_etendue_area(const lmg_etendue *e, double u0, double u1, double v0, double v1, lmg_vec3 d, double middle[2]);
 
 #endif

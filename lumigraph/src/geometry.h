@@ -191,19 +191,31 @@ static inline bool lmg_box_interval(lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 origin, l
     return a <= b;
 }
 
+static inline bool lmg_box_contains(lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 p)
+{
+    return p.x > lo.x && p.x < hi.x && p.y > lo.y && p.y < hi.y && p.z > lo.z && p.z < hi.z;
+}
+
+/* Whether light of directions d with d . n > 0 can come out of the bounds before it reaches a point: not if all of them are ahead. */
+static inline bool lmg_box_behind(lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 n, lmg_vec3 point)
+{
+    double least = (n.x > 0 ? lo.x : hi.x) * n.x + (n.y > 0 ? lo.y : hi.y) * n.y + (n.z > 0 ? lo.z : hi.z) * n.z;
+    return v_dot(point, n) > least;
+}
+
 /*
  * Whether a point on a ray is downstream, where light recorded for the ray's line has already come out of the luminaire.  Outside the
- * bounds: going back along the ray one comes through the bounds.  Inside the bounds (a desk lamp's arm makes them large): the ray has
- * crossed the slab's (u,v) plane, behind = distance along d from the plane to the point >= 0.
+ * bounds: going back along the ray one comes through the bounds; the slab's plane may still lie ahead, beside the bounds.  Inside
+ * the bounds (a desk lamp's arm makes them large): the ray has crossed the slab's (u,v) plane, past = (point - plane) . n >= 0.
  */
-static inline bool lmg_downstream(const lmg_layout *layout, lmg_vec3 point, lmg_vec3 d, double behind)
+static inline bool lmg_downstream(const lmg_layout *layout, lmg_vec3 point, lmg_vec3 d, double past)
 {
     double k0, k1;
     if (!lmg_box_interval(layout->bounds_min, layout->bounds_max, point, d, &k0, &k1))
         return false;
     if (k1 <= 0)
         return true;
-    return k0 < 0 && behind >= 0;
+    return k0 < 0 && past >= 0;
 }
 
 #endif

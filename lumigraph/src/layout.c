@@ -34,6 +34,8 @@ static const double GAIN = 0.97;
 static const double GOOD_ENOUGH = 0.001 * 0.001;
 /* A window has to promise less than this part of the error without it. */
 static const double WINDOW_WORTH = 0.8;
+/* Six faces have to be this much better than one opening, which has the simpler cells: one rectangle, equal etendue. */
+static const double CUBE_GAIN = 0.8;
 /* Narrowest (u,v) rectangle, in sizes: light from a point gets a place whose radiance is finite and that no receiver tells from a point. */
 static const double NARROWEST = 1e-3;
 
@@ -895,7 +897,7 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
         }
     }
     bool use_aperture = options->choice == LMG_LAYOUT_APERTURE ||
-                        (try_aperture && through >= 1 - APERTURE_REST && aperture_error.error <= cube_error.error);
+                        (try_aperture && through >= 1 - APERTURE_REST && !better(cube_error, aperture_error, CUBE_GAIN));
 
     double beside[6] = {0};
     if (use_aperture) {

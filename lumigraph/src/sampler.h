@@ -25,6 +25,7 @@ typedef struct lmg_group {
     const lmg_slab *frame; /* any of its slabs */
     double u0, u1, v0, v1; /* holds the rectangles of all */
     double flux;           /* lumens */
+    bool inside;           /* the (u,v) rectangles lie in the bounds: no light is seen before its plane */
     uint32_t levels;       /* finest level worth going down to */
     uint32_t table_count;
     lmg_brightness *tables; /* in order of priority, the last one contains the others */

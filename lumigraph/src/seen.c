@@ -11,7 +11,8 @@
  * if the point is near: where a block is small beside its distance.  Its density follows from the path alone, and the path from the
  * place on the plane: the density of any direction is found by going down again.
  *
- * Of cube slabs a point sees only the part of the plane at slopes up to 1, a square about its foot; the tree's nodes are clipped to it.
+ * A plane may stick out of the bounds; from beside the bounds light is then seen before it reaches its plane: the same lines, the other
+ * way round.  Of cube slabs a point sees only the part of the plane at slopes up to 1, a square about its foot; the tree's nodes are clipped to it.
  */
 #include "memory.h"
 #include "sampler.h"
@@ -185,7 +186,7 @@ lmg_result lmg_groups_create(const lmg_field *field, lmg_sampler *sampler, lmg_e
             at++;
         lmg_group *g = &sampler->groups[at];
         if (at == sampler->group_count) {
-            *g = (lmg_group){.frame = slab, .u0 = slab->u0, .u1 = slab->u1, .v0 = slab->v0, .v1 = slab->v1};
+            *g = (lmg_group){.frame = slab, .u0 = slab->u0, .u1 = slab->u1, .v0 = slab->v0, .v1 = slab->v1, .inside = true};
             sampler->group_count++;
         }
         g->u0 = fmin(g->u0, slab->u0);
@@ -193,6 +194,7 @@ lmg_result lmg_groups_create(const lmg_field *field, lmg_sampler *sampler, lmg_e
         g->v0 = fmin(g->v0, slab->v0);
         g->v1 = fmax(g->v1, slab->v1);
         g->flux += field->slabs[j].flux;
+        g->inside = g->inside && sampler->etendue[j].inside;
         uint32_t cells = slab->nu > slab->nv ? slab->nu : slab->nv, levels = 0;
         while (levels + 1 < LMG_LEVELS && (uint32_t)1 << levels < cells)
             levels++;
@@ -240,10 +242,10 @@ lmg_result lmg_groups_create(const lmg_field *field, lmg_sampler *sampler, lmg_e
 
 /* -------------------------------------------------------------------------------------------------------------- nodes */
 
-/* A point as a group sees it: its foot on the plane and its height over it. */
+/* A point as a group sees it: its foot on the plane, its distance from it, and on which side it is: 1 past the plane, -1 before it. */
 typedef struct view {
     const lmg_group *g;
-    double pu, pv, h;
+    double pu, pv, h, side;
     double u0, u1, v0, v1; /* part of the plane that the point can see */
     double weight;         /* estimate of the light from there: solid angle x luminance */
 } view;
@@ -273,7 +275,7 @@ static inline double luminance_of(const view *w, uint32_t level, uint32_t x, uin
 {
     const lmg_group *g = w->g;
     const lmg_slab *frame = g->frame;
-    double du = w->pu - cu, dv = w->pv - cv, s, t, span;
+    double du = w->side * (w->pu - cu), dv = w->side * (w->pv - cv), s, t, span;
     if (frame->kind == LMG_SLAB_APERTURE) {
         /* The concentric map with 4/pi atan(z) ~ z + 0.3476 z (1 - |z|), within 0.005: this only chooses bins. */
         double inv = 1 / sqrt(r2), a = du * inv, b = dv * inv, r = sqrt(a * a + b * b);
@@ -300,18 +302,25 @@ static inline double luminance_of(const view *w, uint32_t level, uint32_t x, uin
     for (uint32_t k = 0; k < g->table_count; k++) {
         const lmg_brightness *table = &g->tables[k];
         double x_bin = (s - table->s0) / table->bin_s, y_bin = (t - table->t0) / table->bin_t;
-        /* a window serves while the node's directions are within about half of it */
+        /* a window serves where the node's middle looks into it with no more directions than it has */
         if (k + 1 < g->table_count && !(x_bin >= 0 && x_bin < LMG_BINS && y_bin >= 0 && y_bin < LMG_BINS &&
-                                        span < 0.5 * LMG_BINS * (table->bin_s < table->bin_t ? table->bin_s : table->bin_t)))
+                                        span < LMG_BINS * (table->bin_s < table->bin_t ? table->bin_s : table->bin_t)))
             continue;
-        int bs = (int)d_clamp(x_bin, 0, LMG_BINS - 1), bt = (int)d_clamp(y_bin, 0, LMG_BINS - 1), mip = 0;
+        int mip = 0;
         double bin = table->bin_s < table->bin_t ? table->bin_s : table->bin_t;
         while (mip + 1 < LMG_LEVELS && bin < span) {
             bin *= 2;
             mip++;
         }
-        uint32_t block = LEVEL_START[level] + (y << level) + x;
-        return (double)table->picture[(size_t)block * LMG_PICTURE + MIP_START[mip] + (uint32_t)((bt >> mip) * (LMG_BINS >> mip) + (bs >> mip))];
+        /* between the middles of bins as wide as the span: what a footprint of that width sees */
+        int n = LMG_BINS >> mip;
+        double scale = 1.0 / (1 << mip), fs = d_clamp(x_bin * scale - 0.5, 0, n - 1), ft = d_clamp(y_bin * scale - 0.5, 0, n - 1);
+        int s0 = (int)fs, t0 = (int)ft, s1 = s0 + 1 < n ? s0 + 1 : s0, t1 = t0 + 1 < n ? t0 + 1 : t0;
+        fs -= s0;
+        ft -= t0;
+        const float *p = table->picture + (size_t)(LEVEL_START[level] + (y << level) + x) * LMG_PICTURE + MIP_START[mip];
+        return (1 - ft) * ((1 - fs) * (double)p[t0 * n + s0] + fs * (double)p[t0 * n + s1]) +
+               ft * ((1 - fs) * (double)p[t1 * n + s0] + fs * (double)p[t1 * n + s1]);
     }
     return 0;
 }
@@ -412,14 +421,15 @@ static leaf descend(const view *w, double u, double v, double random[2], bool li
 }
 
 /* What the point sees of a group; false if nothing. */
-static bool look(const lmg_group *g, lmg_vec3 point, view *w)
+static bool look(const lmg_layout *layout, const lmg_group *g, lmg_vec3 point, bool within, view *w)
 {
     const lmg_slab *f = g->frame;
     lmg_vec3 d = v_sub(point, f->o);
     double h = v_dot(d, f->n);
-    if (!(h > 0))
+    if (h == 0 || (h < 0 && (g->inside || within || !lmg_box_behind(layout->bounds_min, layout->bounds_max, f->n, point))))
         return false;
-    *w = (view){g, v_dot(d, f->a), v_dot(d, f->b), h, g->u0, g->u1, g->v0, g->v1, 0};
+    *w = (view){g, v_dot(d, f->a), v_dot(d, f->b), fabs(h), h < 0 ? -1 : 1, g->u0, g->u1, g->v0, g->v1, 0};
+    h = w->h;
     if (f->kind == LMG_SLAB_CUBE) {
         w->u0 = fmax(w->u0, w->pu - h);
         w->u1 = fmin(w->u1, w->pu + h);
@@ -449,11 +459,13 @@ typedef struct scene {
 
 static void look_around(const lmg_sampler *sampler, lmg_vec3 point, scene *s)
 {
+    const lmg_layout *layout = sampler->plan.layout;
+    bool within = lmg_box_contains(layout->bounds_min, layout->bounds_max, point);
     s->count = 0;
     s->light = s->flux = 0;
     for (uint32_t i = 0; i < sampler->group_count; i++) {
         view *w = &s->views[s->count];
-        if (!look(&sampler->groups[i], point, w))
+        if (!look(layout, &sampler->groups[i], point, within, w))
             continue;
         s->count++;
         s->flux += w->g->flux;
@@ -477,11 +489,11 @@ static inline double density(const scene *s, const view *w, const leaf *l, doubl
     return chance / area * (w->h * w->h) / (c * c * c);
 }
 
-/* Foot of the line through the view's point with direction d (towards the plane: d . n = -c) on the plane. */
+/* Where the line through the view's point with direction d (against the light: d . n = -c) crosses the plane. */
 static inline void foot(const view *w, lmg_vec3 d, double c, double *u, double *v)
 {
     const lmg_slab *f = w->g->frame;
-    double k = w->h / c;
+    double k = w->side * w->h / c;
     *u = w->pu + k * v_dot(d, f->a);
     *v = w->pv + k * v_dot(d, f->b);
 }
@@ -539,8 +551,8 @@ bool lmg_field_sample_point(const lmg_field *field, lmg_vec3 point, const double
     double random[2] = {xi[1], xi[2]};
     leaf l = descend(w, 0, 0, random, light_counts);
     double u = l.r.u0 + random[0] * (l.r.u1 - l.r.u0), v = l.r.v0 + random[1] * (l.r.v1 - l.r.v0);
-    lmg_vec3 d = v_fma(v_fma(v_scale(-w->h, frame->n), u - w->pu, frame->a), v - w->pv, frame->b);
-    d = v_scale(1 / v_length(d), d);
+    lmg_vec3 d = v_fma(v_fma(v_scale(-w->side * w->h, frame->n), u - w->pu, frame->a), v - w->pv, frame->b);
+    d = v_scale(w->side / v_length(d), d);
     /* Is the light there this group's, and does it come out of the bounds before the point? */
     double uvst[4], k0, k1;
     int j = lmg_plan_owner(&sampler->plan, point, v_scale(-1, d), uvst);

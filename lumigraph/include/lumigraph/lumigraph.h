@@ -110,7 +110,8 @@ typedef enum lmg_slab_kind {
  * rectangle of (s,t) in the slab's own coordinates, each cut in equal cells.
  * A field is a list of slabs in order of priority: a ray belongs to the first slab whose direction rule, (u,v) rectangle and (s,t)
  * rectangle (borders half-open) contain it, so every ray has exactly one place.  A narrow window over a beam comes before the wide
- * slab that catches the rest.
+ * slab that catches the rest.  Of directions with equal components, classes of cube slabs take the lowest axis; the end of (s,t)'s domain
+ * (slope or square coordinate 1) is closed.
  */
 typedef struct lmg_slab {
     lmg_slab_kind kind;
@@ -170,14 +171,15 @@ LMG_API lmg_result lmg_layout_check(const lmg_layout *layout, lmg_error *err);
 /* --------------------------------------------------------------------------------------------------------- accumulator */
 
 /* Where rays are counted, one place each, nearest cell.  Sums are 64-bit fixed point (2^-20 of a unit), so they commute: the result
- * is the same bits for any order and number of threads.  10^11 units into one cell don't overflow. */
+ * is the same bits for any order and number of threads.  A ray is rounded up or down to the unit by chance, keyed by its number: the same
+ * ray always alike, yet without bias however small its flux.  10^11 units into one cell don't overflow. */
 typedef struct lmg_accumulator lmg_accumulator;
 
 LMG_API lmg_result lmg_accumulator_create(const lmg_layout *layout, lmg_accumulator **out, lmg_error *err);
 LMG_API void lmg_accumulator_destroy(lmg_accumulator *acc);
 
-/* Deposits rays.  Safe to call from several threads at once.  Rays with non-finite or negative flux, or non-finite or zero direction,
- * are refused and counted; rays that no slab contains go to a residual that is reported, never dropped silently. */
+/* Deposits rays.  Safe to call from several threads at once.  Rays with non-finite or negative luminance (a component may be negative:
+ * colours outside the gamut), more than 2^24 units, a non-finite origin, or a non-finite or zero direction are refused and counted; rays that no slab contains go to a residual that is reported, never dropped silently. */
 LMG_API void lmg_accumulator_deposit(lmg_accumulator *acc, const lmg_ray *rays, size_t count);
 
 /* The accumulator as a sink. */
@@ -205,8 +207,10 @@ typedef struct lmg_ledger {
     double emitted_se, stored_se, residual_se, absorbed_se, lost_se;
 } lmg_ledger;
 
-/* Turns counts into radiance with a standard error per cell: L = flux / integrated etendue.  lumens_per_unit > 0.  The accumulator
- * stays usable, so that a long bake can be looked at on the way.  The field is owned by the caller. */
+/* Turns counts into radiance with a standard error per cell: L = flux / integrated etendue (of the rays that are the cell's own and come
+ * out of the bounds).  lumens_per_unit > 0.  The accumulator stays usable, so that a long bake can be looked at on the way.  The field
+ * is owned by the caller.  ledger: stored and residual are filled in from the accumulator, and their standard errors where they are 0
+ * (as weighted Poisson counts); the rest is taken as given.  NULL: emitted = stored + residual. */
 LMG_API lmg_result lmg_field_reconstruct(const lmg_accumulator *acc, double lumens_per_unit, const lmg_ledger *ledger,
                                          lmg_field **out, lmg_error *err);
 LMG_API void lmg_field_destroy(lmg_field *field);
@@ -247,15 +251,16 @@ LMG_API lmg_result lmg_field_write(const lmg_field *field, const char *path, lmg
 typedef enum lmg_filter { LMG_NEAREST = 0, LMG_LINEAR = 1 } lmg_filter;
 
 /* Radiance (cd/m2, as R,G,B) of the light that travels through origin (outside the bounds, downstream of the luminaire) in direction
- * (unit, of travel: away from the luminaire).  Zero for rays that don't come out of the bounds.  standard_error of the luminance, may
- * be NULL.  No allocation, no locks. */
+ * (unit, of travel: away from the luminaire).  Zero for rays that don't come out of the bounds before origin.  From a point inside the
+ * bounds (under a desk lamp's head, say) light is seen that has already crossed its slab's (u,v) plane, as if nothing of the luminaire
+ * stood in between.  standard_error of the luminance, may be NULL.  No allocation, no locks. */
 LMG_API void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction, lmg_filter filter, float rgb[3],
                                 float *standard_error);
 
 /* A direction in which a point sees light of the box. */
 typedef struct lmg_point_sample {
     lmg_vec3 direction; /* unit, from the point towards the box */
-    double distance;    /* metres from the point to where the ray enters the bounds: what has to be free for the light to arrive */
+    double distance;    /* metres from the point to where the ray enters the bounds: what has to be free for the light to arrive; 0 inside */
     double pdf;         /* per steradian, > 0, exactly what lmg_field_point_pdf gives for this direction */
     float radiance[3];  /* cd/m2 arriving along it, filter LMG_NEAREST */
 } lmg_point_sample;
