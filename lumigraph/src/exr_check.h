@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What io_exr.c asks about the bytes of a file before it lets OpenEXRCore see them. */
+/* What exr_read.c asks about the bytes of a file before it lets OpenEXRCore see them. */
 #ifndef LUMIGRAPH_EXR_CHECK_H
 #define LUMIGRAPH_EXR_CHECK_H
 

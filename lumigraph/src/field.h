@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The inside of a field, for the files of this library only: reconstruct.c fills it, io_exr.c stores it, sample.c and ask.c read it. */
+/* The inside of a field, for the files of this library only: reconstruct.c fills it, exr_write.c and
+ * exr_read.c store it and bring it back, sample.c and ask.c read it. */
 #ifndef LUMIGRAPH_FIELD_H
 #define LUMIGRAPH_FIELD_H
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What tests and benchmarks of the library ask of io_exr.c beyond lumigraph.h. */
+/* What tests and benchmarks of the library ask of exr_write.c beyond lumigraph.h. */
 #ifndef LUMIGRAPH_IO_EXR_H
 #define LUMIGRAPH_IO_EXR_H
 

@@ -1,0 +1,14 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The content hash of box files (docs/format.md), for the files of this library only. */
+#ifndef LUMIGRAPH_BOX_HASH_H
+#define LUMIGRAPH_BOX_HASH_H
+
+#include "box_content.h"
+
+/* The hash of one tile's cells. */
+uint64_t lmg_hash_tile(const lmg_tiles *t, uint32_t slab, uint64_t tile_in_slab);
+
+/* The hash of the whole field, from what isn't cells and from t->hashes, which hold every tile's. */
+uint64_t lmg_hash_field(const lmg_tiles *t);
+
+#endif
