@@ -97,6 +97,7 @@ lmg_result bake_box_source_create(const lmg_field *field, uint64_t seed, bake_so
     double flux = 0;
     for (uint32_t i = 0; i < layout->slab_count; ++i)
         flux += lmg_field_slab_flux(field, i, NULL);
+    const lmg_ledger ledger = lmg_field_ledger(field);
     if (!(flux > 0))
         return lmg_fail(err, LMG_ERROR_INPUT, "the box holds no light");
     box_source *box = calloc(1, sizeof(*box));
@@ -105,6 +106,7 @@ lmg_result bake_box_source_create(const lmg_field *field, uint64_t seed, bake_so
     box->source.run = run;
     box->source.destroy = destroy;
     box->source.flux = flux;
+    box->source.flux_se = ledger.stored_se;
     box->source.bounds_min = layout->bounds_min;
     box->source.bounds_max = layout->bounds_max;
     box->field = field;

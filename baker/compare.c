@@ -224,7 +224,8 @@ lmg_result bake_compare(bake_source *a, bake_source *b, const bake_compare_optio
         out->seconds[s] = bake_clock() - began;
         lumens_per_unit[s] = sources[s]->flux / (double)photons;
         out->flux[s] = t->escaped * lumens_per_unit[s];
-        out->flux_se[s] = sources[s]->flux * bake_share_error(t->escaped, (double)photons);
+        out->flux_se[s] = hypot(sources[s]->flux * bake_share_error(t->escaped, (double)photons),
+                                sources[s]->flux_se * t->escaped / (double)photons);
     }
     if (result == LMG_OK)
         result = evaluate(sides, options, lumens_per_unit, out, err);

@@ -23,6 +23,7 @@ struct bake_source {
                       bake_tally *tally, lmg_error *err);
     void (*destroy)(bake_source *source);
     double flux;               /* lumens emitted, so that lumens_per_unit = flux / photons */
+    double flux_se;            /* its standard error: of a box, from the box's own bake; 0 where it is known */
     lmg_vec3 bounds_min, bounds_max; /* luminaire frame, metres */
 };
 
