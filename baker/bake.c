@@ -155,7 +155,8 @@ static lmg_result run_pilot(bake *b, double seconds, lmg_error *err)
         wanted -= wanted % PILOT_MIN;
     }
     if (result == LMG_OK && wanted > tally.photons)
-        result = b->tracer->run(b->tracer, BAKE_PILOT_FIRST + tally.photons, wanted - tally.photons, o->threads, &sink, 1, &tally, err);
+        result =
+            b->tracer->run(b->tracer, BAKE_PILOT_FIRST + tally.photons, wanted - tally.photons, o->threads, &sink, 1, &tally, err);
     b->report->pilot_photons = tally.photons;
     if (result != LMG_OK)
         return result;
@@ -175,8 +176,8 @@ static lmg_result measure_noise(bake *b, const lmg_layout *layout, lmg_error *er
 {
     size_t count;
     const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
-    const bake_rectangle q = bake_measuring_rectangle(layout->bounds_min, layout->bounds_max, bake_main_axis(rays, count), layout->size,
-                                                      layout->size, NOISE_PIXELS);
+    const bake_rectangle q = bake_measuring_rectangle(layout->bounds_min, layout->bounds_max, bake_main_axis(rays, count),
+                                                      layout->size, layout->size, NOISE_PIXELS);
     bake_receiver *plane;
     const lmg_result result = bake_illuminance_create(&q, &plane, err);
     if (result != LMG_OK)
@@ -285,7 +286,8 @@ static char *join_warnings(const lum_model *model)
     return text;
 }
 
-/* Says in the field where it comes from; nothing that depends on the machine, the threads or the date, so that files can be compared. */
+/* Says in the field where it comes from; nothing that depends on the machine, the threads or the date, so that files can be
+ * compared. */
 static lmg_result add_texts(const bake *b, lmg_field *field, lmg_error *err)
 {
     char hash[17], seed[24], photons[24], pilot[24], effects[512];
@@ -370,7 +372,8 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     return result;
 }
 
-lmg_result bake_run(const struct lum_model *model, const bake_options *options, lmg_field **out, bake_report *report, lmg_error *err)
+lmg_result bake_run(const struct lum_model *model, const bake_options *options, lmg_field **out, bake_report *report,
+                    lmg_error *err)
 {
     *out = NULL;
     memset(report, 0, sizeof(*report));

@@ -14,45 +14,46 @@ struct lum_model;
 
 /* What a running bake knows about itself. */
 typedef struct bake_progress {
-    uint64_t photons;       /* traced so far */
-    double seconds;         /* since tracing began */
-    double rate;            /* photons per second */
-    double accounted;       /* share of the emitted flux that left or was absorbed */
-    double noise;           /* see bake_report.noise, for the photons so far */
+    uint64_t photons; /* traced so far */
+    double seconds;   /* since tracing began */
+    double rate;      /* photons per second */
+    double accounted; /* share of the emitted flux that left or was absorbed */
+    double noise;     /* see bake_report.noise, for the photons so far */
     double seconds_left;
 } bake_progress;
 
 typedef struct bake_options {
-    uint64_t photons;        /* 0 = by time */
-    double seconds;          /* of pilot and tracing, when photons is 0; 0 = 60 */
-    uint64_t pilot_photons;  /* 0 = a twentieth of the bake, within 20,000 and 400,000 */
+    uint64_t photons;       /* 0 = by time */
+    double seconds;         /* of pilot and tracing, when photons is 0; 0 = 60 */
+    uint64_t pilot_photons; /* 0 = a twentieth of the bake, within 20,000 and 400,000 */
     uint64_t seed;
-    unsigned threads;        /* 0 = all cores */
-    double flux_lm;          /* > 0: the lamp's sources emit so many lumens */
-    double output_flux_lm;   /* > 0: so many lumens leave the luminaire; excludes flux_lm */
-    lmg_fit_options fit;     /* layout wishes; the bounds are filled in */
-    const char *settings;    /* further texts for the file, NULL = none: the settings as JSON, ... */
-    const char *recipe;      /* ... and the recipe */
+    unsigned threads;                  /* 0 = all cores */
+    double flux_lm;                    /* > 0: the lamp's sources emit so many lumens */
+    double output_flux_lm;             /* > 0: so many lumens leave the luminaire; excludes flux_lm */
+    lmg_fit_options fit;               /* layout wishes; the bounds are filled in */
+    const char *settings;              /* further texts for the file, NULL = none: the settings as JSON, ... */
+    const char *recipe;                /* ... and the recipe */
     const volatile sig_atomic_t *stop; /* when it becomes non-zero, the bake ends with the round at hand */
     void (*progress)(void *self, const bake_progress *progress); /* after every round, on the calling thread */
     void *progress_self;
 } bake_options;
 
 typedef struct bake_report {
-    bake_tally tally;        /* in photons */
-    double flux_lm;          /* emitted by the sources, after rescaling */
+    bake_tally tally; /* in photons */
+    double flux_lm;   /* emitted by the sources, after rescaling */
     double lumens_per_photon;
     uint64_t pilot_photons;
-    uint64_t refused;        /* rays that the accumulator refused; counted as lost in the ledger */
+    uint64_t refused; /* rays that the accumulator refused; counted as lost in the ledger */
     double pilot_seconds, trace_seconds, reconstruct_seconds;
-    double noise;            /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */
-    uint32_t effects;        /* bake_effects_of */
+    double noise;     /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */
+    uint32_t effects; /* bake_effects_of */
     char layout_why[1024];
     bool interrupted;
 } bake_report;
 
 /* Bakes.  The field is the caller's.  Errors: LMG_ERROR_INPUT when the model emits nothing or no light leaves it. */
-lmg_result bake_run(const struct lum_model *model, const bake_options *options, lmg_field **out, bake_report *report, lmg_error *err);
+lmg_result bake_run(const struct lum_model *model, const bake_options *options, lmg_field **out, bake_report *report,
+                    lmg_error *err);
 
 /* A sink that keeps rays.  Rays are sorted by photon number when asked for, so their order doesn't depend on threads. */
 typedef struct bake_ray_list bake_ray_list;
@@ -67,7 +68,8 @@ const lmg_ray *bake_ray_list_sorted(bake_ray_list *list, size_t *count);
 /* Seconds of a clock that only goes forward. */
 double bake_clock(void);
 
-/* Standard error of a share of `photons`, of which `part` (may be fractional or beyond 0..photons by rounding) belong to it: binomial. */
+/* Standard error of a share of `photons`, of which `part` (may be fractional or beyond 0..photons by rounding) belong to it:
+ * binomial. */
 double bake_share_error(double part, double photons);
 
 #endif

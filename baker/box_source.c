@@ -70,8 +70,8 @@ static void end(void *self, void *state)
     free(w);
 }
 
-static lmg_result run(bake_source *source, uint64_t first, uint64_t count, unsigned threads, const lmg_sink *sinks, size_t sink_count,
-                      bake_tally *tally, lmg_error *err)
+static lmg_result run(bake_source *source, uint64_t first, uint64_t count, unsigned threads, const lmg_sink *sinks,
+                      size_t sink_count, bake_tally *tally, lmg_error *err)
 {
     job j = {.box = (const box_source *)source, .sinks = sinks, .sink_count = sink_count};
     const bake_work work = {.self = &j, .begin = begin, .chunk = chunk, .end = end};

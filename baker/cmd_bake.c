@@ -55,9 +55,10 @@ static const struct argp_option OPTIONS[] = {
     {0},
 };
 
-static const char DOC[] = "Traces the light of a luminaire (.gltf, .glb) photon by photon and writes what leaves it as a box of light."
-                          "\vCtrl-C ends a bake early with a valid box (exit code 130), a second one quits without.\n"
-                          "Example:\n  lumibake bake lamp.gltf -o lamp.box.exr --flux 800lm --time 2m";
+static const char DOC[] =
+    "Traces the light of a luminaire (.gltf, .glb) photon by photon and writes what leaves it as a box of light."
+    "\vCtrl-C ends a bake early with a valid box (exit code 130), a second one quits without.\n"
+    "Example:\n  lumibake bake lamp.gltf -o lamp.box.exr --flux 800lm --time 2m";
 
 typedef struct command {
     lamp_options lamp;
@@ -221,8 +222,8 @@ static json_t *json_flux(double lumens, double error)
     return json_pack("{s:o, s:o}", "lm", json_number(lumens), "standard_error", json_number(error));
 }
 
-static json_t *summary_json(const command *c, const lmg_field *field, const bake_report *r, const lum_model *model, const char *recipe,
-                            double seconds, uint64_t bytes)
+static json_t *summary_json(const command *c, const lmg_field *field, const bake_report *r, const lum_model *model,
+                            const char *recipe, double seconds, uint64_t bytes)
 {
     const lmg_ledger l = lmg_field_ledger(field);
     const lmg_layout *y = lmg_field_layout(field);
@@ -279,8 +280,8 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     bake_effects_print(r->effects, effects, sizeof(effects));
     printf("%s\n", c->output);
     printf("  effects   %s\n", effects);
-    printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n", l.photons,
-           r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
+    printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n",
+           l.photons, r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
     printf("  emitted   %12.6g lm\n", l.emitted);
     print_share("stored", l.stored, l.stored_se, l.emitted);
     print_share("residual", l.residual, l.residual_se, l.emitted);
@@ -307,7 +308,8 @@ static void print_remarks(const bake_report *r)
     const double n = r->tally.emitted;
     if (r->tally.lost_inside > 0)
         fprintf(stderr,
-                "warning: %.3g %% of the light left the model while inside a solid dielectric: its mesh is open or its faces point inwards; "
+                "warning: %.3g %% of the light left the model while inside a solid dielectric: its mesh is open or its faces point "
+                "inwards; "
                 "close it, or declare it thin-walled (--set thin:MATERIAL)\n",
                 100 * r->tally.lost_inside / n);
     if (r->tally.lost - r->tally.lost_inside > 1e-6 * n)

@@ -46,11 +46,11 @@ static const struct argp_option OPTIONS[] = {
     {0},
 };
 
-static const char DOC[] =
-    "Lights the same receivers with A and B, each a lamp (.gltf, .glb) or a box, and says how much they differ: flux, illuminance on "
-    "planes of 32 x 32 pixels across the lamp's main axis, far-field intensity. A is judged against B."
-    "\v'RMS' is the relative RMS difference with the noise of both sides taken out.\n"
-    "Example:\n  lumibake compare lamp.box.exr lamp.gltf --distances 0.5,1,2,5";
+static const char DOC[] = "Lights the same receivers with A and B, each a lamp (.gltf, .glb) or a box, and says how much they "
+                          "differ: flux, illuminance on "
+                          "planes of 32 x 32 pixels across the lamp's main axis, far-field intensity. A is judged against B."
+                          "\v'RMS' is the relative RMS difference with the noise of both sides taken out.\n"
+                          "Example:\n  lumibake compare lamp.box.exr lamp.gltf --distances 0.5,1,2,5";
 
 /* One of the two things to compare, as a source of rays. */
 typedef struct side {
@@ -187,8 +187,8 @@ static void close_side(side *s)
 
 static json_t *difference_json(const bake_difference *d)
 {
-    return json_pack("{s:o, s:o, s:o, s:o, s:o}", "rms", json_number(d->rms), "standard_error", json_number(d->standard_error), "raw",
-                     json_number(d->raw), "noise", json_number(d->noise), "p99", json_number(d->p99));
+    return json_pack("{s:o, s:o, s:o, s:o, s:o}", "rms", json_number(d->rms), "standard_error", json_number(d->standard_error),
+                     "raw", json_number(d->raw), "noise", json_number(d->noise), "p99", json_number(d->p99));
 }
 
 static json_t *comparison_json(const command *c, const bake_comparison *r)
@@ -196,31 +196,31 @@ static json_t *comparison_json(const command *c, const bake_comparison *r)
     json_t *sides = json_array();
     for (int s = 0; s < 2; ++s)
         json_array_append_new(sides, json_pack("{s:s, s:o, s:o, s:I, s:I, s:f}", "path", c->sides[s].lamp.path, "flux_lm",
-                                               json_number(r->flux[s]), "flux_standard_error", json_number(r->flux_se[s]), "photons",
-                                               (json_int_t)r->tally[s].photons, "segments", (json_int_t)r->tally[s].segments, "seconds",
-                                               r->seconds[s]));
+                                               json_number(r->flux[s]), "flux_standard_error", json_number(r->flux_se[s]),
+                                               "photons", (json_int_t)r->tally[s].photons, "segments",
+                                               (json_int_t)r->tally[s].segments, "seconds", r->seconds[s]));
     json_t *planes = json_array();
     for (size_t i = 0; i < c->options.distance_count; ++i)
-        json_array_append_new(planes, json_pack("{s:f, s:f, s:f, s:[o,o], s:[o,o], s:o}", "distance_sizes", c->options.distances[i],
-                                                "distance_m", r->planes[i].distance, "side_m", r->planes[i].side, "mean_lx",
-                                                json_number(r->planes[i].mean[0]), json_number(r->planes[i].mean[1]),
-                                                "mean_standard_error", json_number(r->planes[i].mean_se[0]),
-                                                json_number(r->planes[i].mean_se[1]), "difference",
-                                                difference_json(&r->planes[i].difference)));
-    return json_pack("{s:s, s:o, s:[f,f,f], s:f, s:o, s:o}", "format", "lumibake compare 1", "sides", sides, "axis", r->axis.x, r->axis.y,
-                     r->axis.z, "size_m", r->size, "planes", planes, "far_field", difference_json(&r->far_field));
+        json_array_append_new(
+            planes, json_pack("{s:f, s:f, s:f, s:[o,o], s:[o,o], s:o}", "distance_sizes", c->options.distances[i], "distance_m",
+                              r->planes[i].distance, "side_m", r->planes[i].side, "mean_lx", json_number(r->planes[i].mean[0]),
+                              json_number(r->planes[i].mean[1]), "mean_standard_error", json_number(r->planes[i].mean_se[0]),
+                              json_number(r->planes[i].mean_se[1]), "difference", difference_json(&r->planes[i].difference)));
+    return json_pack("{s:s, s:o, s:[f,f,f], s:f, s:o, s:o}", "format", "lumibake compare 1", "sides", sides, "axis", r->axis.x,
+                     r->axis.y, r->axis.z, "size_m", r->size, "planes", planes, "far_field", difference_json(&r->far_field));
 }
 
 static void print_difference(const bake_difference *d)
 {
-    printf("%7.2f +- %-5.2f %8.2f %8.2f %8.2f\n", 100 * d->rms, 100 * d->standard_error, 100 * d->raw, 100 * d->noise, 100 * d->p99);
+    printf("%7.2f +- %-5.2f %8.2f %8.2f %8.2f\n", 100 * d->rms, 100 * d->standard_error, 100 * d->raw, 100 * d->noise,
+           100 * d->p99);
 }
 
 static void print_comparison(const command *c, const bake_comparison *r)
 {
     for (int s = 0; s < 2; ++s)
-        printf("%c  %s: %.6g +- %.2g lm leave it (%.3g M rays in %.1f s)\n", 'A' + s, c->sides[s].lamp.path, r->flux[s], r->flux_se[s],
-               1e-6 * (double)r->tally[s].photons, r->seconds[s]);
+        printf("%c  %s: %.6g +- %.2g lm leave it (%.3g M rays in %.1f s)\n", 'A' + s, c->sides[s].lamp.path, r->flux[s],
+               r->flux_se[s], 1e-6 * (double)r->tally[s].photons, r->seconds[s]);
     const double se = hypot(r->flux_se[0], r->flux_se[1]);
     printf("flux A - B: %+.4f +- %.4f %%\n", 100 * (r->flux[0] - r->flux[1]) / r->flux[1], 100 * se / r->flux[1]);
     printf("size %.4g m, planes across %+g %+g %+g\n\n", r->size, r->axis.x, r->axis.y, r->axis.z);

@@ -16,8 +16,9 @@ static const struct argp_option OPTIONS[] = {
     {0},
 };
 
-static const char DOC[] = "Says what is in a box of light: layout, planes, size, where the light went (with standard errors), effects, provenance."
-                          "\vExample:\n  lumibake info lamp.box.exr";
+static const char DOC[] =
+    "Says what is in a box of light: layout, planes, size, where the light went (with standard errors), effects, provenance."
+    "\vExample:\n  lumibake info lamp.box.exr";
 
 typedef struct command {
     const char *box;
@@ -92,8 +93,9 @@ static json_t *info_json(const command *c, const lmg_field *field, uint64_t byte
     };
     json_object_set_new(ledger, "photons", json_integer((json_int_t)l.photons));
     for (size_t i = 0; i < sizeof(shares) / sizeof(shares[0]); ++i)
-        json_object_set_new(ledger, shares[i].name,
-                            json_pack("{s:o, s:o}", "lm", json_number(shares[i].lumens), "standard_error", json_number(shares[i].error)));
+        json_object_set_new(
+            ledger, shares[i].name,
+            json_pack("{s:o, s:o}", "lm", json_number(shares[i].lumens), "standard_error", json_number(shares[i].error)));
     json_t *slabs = json_array();
     for (uint32_t i = 0; i < y->slab_count; ++i)
         json_array_append_new(slabs, slab_json(field, i));
@@ -162,7 +164,8 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
         snprintf(normal, sizeof(normal), "%.3g %.3g %.3g", s->n.x, s->n.y, s->n.z);
         snprintf(origin, sizeof(origin), "%.4g %.4g %.4g", s->o.x, s->o.y, s->o.z);
         snprintf(size, sizeof(size), "%.4g x %.4g", s->u1 - s->u0, s->v1 - s->v0);
-        printf("  %3u  %-8s %-22s %-22s %-20s %-19s %.6g +- %.2g\n", i, kind_name(s->kind), normal, origin, size, cells, flux, error);
+        printf("  %3u  %-8s %-22s %-22s %-20s %-19s %.6g +- %.2g\n", i, kind_name(s->kind), normal, origin, size, cells, flux,
+               error);
     }
     printf("\nProvenance\n");
     for (size_t i = 0; lmg_field_text_name(field, i); ++i) {

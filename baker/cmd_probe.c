@@ -14,17 +14,19 @@ enum { KEY_POINTS = 256, KEY_RAYS, KEY_INTENSITY, KEY_LINEAR, KEY_JSON };
 
 static const struct argp_option OPTIONS[] = {
     {"points", KEY_POINTS, "FILE", 0, "rows x,y,z,nx,ny,nz: illuminance in lx at a point on a surface with this normal", 1},
-    {"rays", KEY_RAYS, "FILE", 0, "rows ox,oy,oz,dx,dy,dz: luminance in cd/m2 of the light that travels through a point in a direction (away from the lamp)", 1},
+    {"rays", KEY_RAYS, "FILE", 0,
+     "rows ox,oy,oz,dx,dy,dz: luminance in cd/m2 of the light that travels through a point in a direction (away from the lamp)", 1},
     {"intensity", KEY_INTENSITY, "FILE", 0, "rows dx,dy,dz: luminous intensity in cd, far away in this direction", 1},
     {"linear", KEY_LINEAR, 0, 0, "with --rays: interpolate between cells", 2},
     {"json", KEY_JSON, 0, 0, "JSON, with R,G,B", 2},
     {0},
 };
 
-static const char DOC[] = "Measures in the light of a box. Metres, in the luminaire's own frame (glTF, +Y up)."
-                          "\vFILE is CSV: an optional header line, # comments, '-' for standard input. The answer is the same rows with the "
-                          "value and its standard error.\n"
-                          "Example:\n  echo 0,-2,0,0,1,0 | lumibake probe lamp.box.exr --points -";
+static const char DOC[] =
+    "Measures in the light of a box. Metres, in the luminaire's own frame (glTF, +Y up)."
+    "\vFILE is CSV: an optional header line, # comments, '-' for standard input. The answer is the same rows with the "
+    "value and its standard error.\n"
+    "Example:\n  echo 0,-2,0,0,1,0 | lumibake probe lamp.box.exr --points -";
 
 typedef struct mode {
     int key;
@@ -107,8 +109,8 @@ static lmg_result measure(const command *c, const lmg_field *field, const double
     if (c->mode->key == KEY_POINTS) {
         if (first.x > lo.x && first.x < hi.x && first.y > lo.y && first.y < hi.y && first.z > lo.z && first.z < hi.z)
             return lmg_fail(err, LMG_ERROR_INPUT,
-                            "the point is inside the luminaire (%g %g %g to %g %g %g m); a box holds the light outside it", lo.x, lo.y, lo.z,
-                            hi.x, hi.y, hi.z);
+                            "the point is inside the luminaire (%g %g %g to %g %g %g m); a box holds the light outside it", lo.x,
+                            lo.y, lo.z, hi.x, hi.y, hi.z);
         result = lmg_field_illuminance(field, first, direction, out->rgb, &out->standard_error, err);
     } else if (c->mode->key == KEY_INTENSITY) {
         result = lmg_field_intensity(field, direction, out->rgb, &out->standard_error, err);
@@ -146,8 +148,8 @@ static json_t *readings_json(const command *c, const table *t, const reading *re
                                               "standard_error", json_number(r->standard_error), "rgb", json_number(r->rgb[0]),
                                               json_number(r->rgb[1]), json_number(r->rgb[2])));
     }
-    return json_pack("{s:s, s:s, s:s, s:s, s:s, s:o}", "format", "lumibake probe 1", "box", c->box, "quantity", c->mode->quantity, "unit",
-                     c->mode->unit, "columns", c->mode->names, "rows", rows);
+    return json_pack("{s:s, s:s, s:s, s:s, s:s, s:o}", "format", "lumibake probe 1", "box", c->box, "quantity", c->mode->quantity,
+                     "unit", c->mode->unit, "columns", c->mode->names, "rows", rows);
 }
 
 static int probe(const command *c, const lmg_field *field, const table *t)
@@ -163,7 +165,8 @@ static int probe(const command *c, const lmg_field *field, const table *t)
         const lmg_result result = measure(c, field, t->values + i * t->columns, &readings[i], &err);
         if (result != LMG_OK) {
             lmg_error with_line;
-            lmg_fail(&with_line, result, "%s:%zu: %.400s", strcmp(c->table, "-") ? c->table : "standard input", t->lines[i], err.message);
+            lmg_fail(&with_line, result, "%s:%zu: %.400s", strcmp(c->table, "-") ? c->table : "standard input", t->lines[i],
+                     err.message);
             code = report_error(result, &with_line);
         }
     }

@@ -21,26 +21,27 @@ static int compare_doubles(const void *x, const void *y)
 }
 
 /*
- * With d = a - b of variance v = va + vb, E[d^2] = delta^2 + v: the noise comes off as a sum.  For Gaussian noise Var[d^2] = 2 v^2 + 4
- * delta^2 v, where delta^2 is taken as max(d^2 - v, 0); error propagation through the square root gives the standard error, which far
- * below the noise levels off at the root of the sum's own error.
+ * With d = a - b of variance v = va + vb, E[d^2] = delta^2 + v: the noise comes off as a sum.  For Gaussian noise Var[d^2] = 2 v^2
+ * + 4 delta^2 v, where sums over pixels take d^2 - v for delta^2; error propagation through the square root gives the standard
+ * error, which far below the noise levels off at the root of the sum's own error.
  */
 bake_difference bake_differ(const double *a, const double *a_se, const double *b, const double *b_se, size_t count)
 {
-    double d2 = 0, v = 0, b2 = 0, var = 0;
+    double d2 = 0, v = 0, b2 = 0, noise = 0, cross = 0;
     double *absolute = malloc(count * sizeof(*absolute));
     for (size_t i = 0; i < count; ++i) {
         const double d = a[i] - b[i], vi = a_se[i] * a_se[i] + b_se[i] * b_se[i];
         d2 += d * d;
         v += vi;
         b2 += b[i] * b[i] - b_se[i] * b_se[i];
-        var += 2 * vi * vi + 4 * fmax(d * d - vi, 0) * vi;
+        noise += 2 * vi * vi;
+        cross += 4 * (d * d - vi) * vi;
         if (absolute)
             absolute[i] = fabs(d);
     }
     bake_difference r = {.raw = NAN, .rms = NAN, .standard_error = NAN, .p99 = NAN, .noise = NAN};
     if (b2 > 0) {
-        const double s = (d2 - v) / b2, se = sqrt(var) / b2;
+        const double s = (d2 - v) / b2, se = sqrt(noise + fmax(cross, 0)) / b2;
         r.raw = sqrt(d2 / b2);
         r.noise = sqrt(v / b2);
         r.rms = s >= 0 ? sqrt(s) : -sqrt(-s);

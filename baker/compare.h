@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Two sources into the same receivers: how much their light differs, with the noise of both taken out and an error for every figure. */
+/* Two sources into the same receivers: how much their light differs, with the noise of both taken out and an error for every
+ * figure. */
 #ifndef BAKER_COMPARE_H
 #define BAKER_COMPARE_H
 
@@ -9,8 +10,8 @@ enum { BAKE_MAX_DISTANCES = 16 };
 
 /* How two sets of readings differ; everything relative to the RMS reading of B, noise taken out. */
 typedef struct bake_difference {
-    double raw;            /* RMS(A - B) / RMS(B), noise and all */
-    double rms;            /* the same with the variances of A and B subtracted; negative: sqrt of a negative difference, all noise */
+    double raw; /* RMS(A - B) / RMS(B), noise and all */
+    double rms; /* the same with the variances of A and B subtracted; negative: sqrt of a negative difference, all noise */
     double standard_error; /* of rms */
     double p99;            /* 99th percentile of |A - B| over the pixels, noise included */
     double noise;          /* RMS standard error of A - B */
@@ -27,18 +28,18 @@ typedef struct bake_compare_options {
 } bake_compare_options;
 
 typedef struct bake_comparison {
-    lmg_vec3 axis;         /* that the planes are perpendicular to */
-    double size;           /* metres */
+    lmg_vec3 axis;              /* that the planes are perpendicular to */
+    double size;                /* metres */
     double flux[2], flux_se[2]; /* that leaves A and B, lumens */
     bake_tally tally[2];
     double seconds[2];
     struct {
-        double distance, side;  /* metres */
-        double mean[2];         /* mean illuminance, lx */
+        double distance, side; /* metres */
+        double mean[2];        /* mean illuminance, lx */
         double mean_se[2];
         bake_difference difference;
     } planes[BAKE_MAX_DISTANCES];
-    bake_difference far_field;  /* intensity in 32 x 64 bins of equal solid angle */
+    bake_difference far_field; /* intensity in 32 x 64 bins of equal solid angle */
 } bake_comparison;
 
 /* The size of a source (diagonal of its luminous opening, metres), as lmg_layout_fit finds it from a pilot's rays. */

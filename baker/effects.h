@@ -15,16 +15,16 @@ typedef enum bake_effect {
     BAKE_EMISSION_POINT,
     BAKE_EMISSION_SPOT,
     BAKE_DIFFUSE,
-    BAKE_MIRROR,               /* smooth, all angles alike */
+    BAKE_MIRROR, /* smooth, all angles alike */
     BAKE_CONDUCTOR_SMOOTH,
     BAKE_CONDUCTOR_ROUGH,
-    BAKE_COAT,                 /* Fresnel reflection on top of a diffuse base */
+    BAKE_COAT, /* Fresnel reflection on top of a diffuse base */
     BAKE_GLASS_THIN,
-    BAKE_GLASS_SMOOTH,         /* solids, refracting */
+    BAKE_GLASS_SMOOTH, /* solids, refracting */
     BAKE_GLASS_ROUGH,
     BAKE_ABSORPTION,
     BAKE_DIFFUSE_TRANSMISSION,
-    BAKE_COVERAGE,             /* alpha mask and blend */
+    BAKE_COVERAGE, /* alpha mask and blend */
     BAKE_TEXTURES,
     BAKE_NORMAL_MAPS,
     BAKE_EFFECT_COUNT

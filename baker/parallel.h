@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Work on a range of photon numbers, cut into chunks that the threads take from one counter.  Which thread takes which chunk is left to
- * chance, so whatever a chunk does must depend on its numbers alone and add up in any order. */
+/* Work on a range of photon numbers, cut into chunks that the threads take from one counter.  Which thread takes which chunk is
+ * left to chance, so whatever a chunk does must depend on its numbers alone and add up in any order. */
 #ifndef BAKER_PARALLEL_H
 #define BAKER_PARALLEL_H
 

@@ -92,7 +92,10 @@ double argument_seconds(const struct argp_state *state, const char *option, cons
 {
     char *end;
     const double value = strtod(text, &end);
-    const double unit = !strcmp(end, "") || !strcmp(end, "s") ? 1 : !strcmp(end, "m") || !strcmp(end, "min") ? 60 : !strcmp(end, "h") ? 3600 : 0;
+    const double unit = !strcmp(end, "") || !strcmp(end, "s")      ? 1
+                        : !strcmp(end, "m") || !strcmp(end, "min") ? 60
+                        : !strcmp(end, "h")                        ? 3600
+                                                                   : 0;
     if (end == text || unit == 0 || !(value * unit > 0) || !(value * unit <= 1e8))
         usage_error(state, "%s: '%s' is not a time such as 90s, 5m or 2h", option, text);
     return value * unit;
@@ -187,8 +190,8 @@ const volatile sig_atomic_t *catch_interrupts(void)
 
 bool print_json(json_t *object)
 {
-    const bool done = object && json_dumpf(object, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(9)) == 0 && fputc('\n', stdout) != EOF &&
-                      fflush(stdout) == 0;
+    const bool done = object && json_dumpf(object, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(9)) == 0 &&
+                      fputc('\n', stdout) != EOF && fflush(stdout) == 0;
     json_decref(object);
     return done;
 }

@@ -31,9 +31,10 @@ _Noreturn void usage_error(const struct argp_state *state, const char *format, .
 
 /* Values of options; they end in usage_error when the text isn't one. */
 double argument_number(const struct argp_state *state, const char *option, const char *text, double least, double most);
-uint64_t argument_count(const struct argp_state *state, const char *option, const char *text, uint64_t least, uint64_t most); /* "1e8" */
-double argument_seconds(const struct argp_state *state, const char *option, const char *text);                               /* "90s" "2m" "1h" */
-double argument_lumens(const struct argp_state *state, const char *option, const char *text);                                /* "800lm" */
+uint64_t argument_count(const struct argp_state *state, const char *option, const char *text, uint64_t least,
+                        uint64_t most);                                                        /* "1e8" */
+double argument_seconds(const struct argp_state *state, const char *option, const char *text); /* "90s" "2m" "1h" */
+double argument_lumens(const struct argp_state *state, const char *option, const char *text);  /* "800lm" */
 
 /* A lamp with its recipe, as the options --recipe, --no-recipe and --set describe it. */
 typedef struct lamp_options {
@@ -47,7 +48,8 @@ typedef struct lamp_options {
 /* The recipe that belongs to a lamp: found (true) and its path. */
 bool lamp_recipe_path(const lamp_options *lamp, char path[1024]);
 
-/* Loads the model with recipe and shorthands.  *text: the recipe as compact JSON, or NULL; to be freed.  used: the recipe file's path or "". */
+/* Loads the model with recipe and shorthands.  *text: the recipe as compact JSON, or NULL; to be freed.  used: the recipe file's
+ * path or "". */
 lmg_result lamp_load(const lamp_options *lamp, struct lum_model **out, char **text, char used[1024], lmg_error *err);
 
 /* Ctrl-C and SIGTERM: the first sets the flag that this returns, the second ends the program at once with EXIT_INTERRUPTED. */

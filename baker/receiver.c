@@ -98,8 +98,8 @@ lmg_result bake_illuminance_create(const bake_rectangle *q, bake_receiver **out,
 {
     *out = NULL;
     if (!(q->width > 0) || !(q->height > 0) || q->nx < 1 || q->ny < 1 || q->nx > 65535 || q->ny > 65535)
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "a receiver of %g x %g m with %u x %u pixels can't measure", q->width, q->height, q->nx,
-                        q->ny);
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "a receiver of %g x %g m with %u x %u pixels can't measure", q->width, q->height,
+                        q->nx, q->ny);
     const lmg_result result = create(out, (size_t)q->nx * q->ny, err);
     if (result != LMG_OK)
         return result;

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Sources make ray batches, sinks take them, and neither knows the other's insides.  A source is asked for a range of photon numbers;
- * what photon number n does depends on (seed, n) alone, so a range gives the same rays on any number of threads, whole or in parts.
+ * Sources make ray batches, sinks take them, and neither knows the other's insides.  A source is asked for a range of photon
+ * numbers; what photon number n does depends on (seed, n) alone, so a range gives the same rays on any number of threads, whole or
+ * in parts.
  */
 #ifndef BAKER_SOURCE_H
 #define BAKER_SOURCE_H
@@ -12,23 +13,24 @@
 typedef struct bake_tally {
     uint64_t photons;
     double emitted, escaped, absorbed, lost;
-    uint64_t segments; /* ray segments traced */
+    uint64_t segments;  /* ray segments traced */
     double lost_inside; /* part of lost: left through an open boundary while inside a solid */
 } bake_tally;
 
 typedef struct bake_source bake_source;
 struct bake_source {
     /* Traces photons first .. first+count-1 on `threads` threads (0 = all cores) into the sinks and adds to *tally. */
-    lmg_result (*run)(bake_source *source, uint64_t first, uint64_t count, unsigned threads, const lmg_sink *sinks, size_t sink_count,
-                      bake_tally *tally, lmg_error *err);
+    lmg_result (*run)(bake_source *source, uint64_t first, uint64_t count, unsigned threads, const lmg_sink *sinks,
+                      size_t sink_count, bake_tally *tally, lmg_error *err);
     void (*destroy)(bake_source *source);
-    double flux;               /* lumens emitted, so that lumens_per_unit = flux / photons */
-    double flux_se;            /* its standard error: of a box, from the box's own bake; 0 where it is known */
+    double flux;                     /* lumens emitted, so that lumens_per_unit = flux / photons */
+    double flux_se;                  /* its standard error: of a box, from the box's own bake; 0 where it is known */
     lmg_vec3 bounds_min, bounds_max; /* luminaire frame, metres */
 };
 
-/* Photons through a luminaire's real geometry (tracer.c).  model: what lum_model_load gave, borrowed until destroy.  flux: the model's
- * rated flux if its recipe gives one, else what its emitters emit.  Errors: LMG_ERROR_INPUT when nothing in the model emits light. */
+/* Photons through a luminaire's real geometry (tracer.c).  model: what lum_model_load gave, borrowed until destroy.  flux: the
+ * model's rated flux if its recipe gives one, else what its emitters emit.  Errors: LMG_ERROR_INPUT when nothing in the model emits
+ * light. */
 struct lum_model;
 lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake_source **out, lmg_error *err);
 

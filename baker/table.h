@@ -12,8 +12,8 @@ typedef struct table {
 } table;
 
 /*
- * Reads a table with a fixed number of columns; path "-" is standard input.  Separators: comma, semicolon or tab, blanks around them
- * don't count.  '#' starts a comment, empty lines are skipped, and a first line that holds no number at all is a header.
+ * Reads a table with a fixed number of columns; path "-" is standard input.  Separators: comma, semicolon or tab, blanks around
+ * them don't count.  '#' starts a comment, empty lines are skipped, and a first line that holds no number at all is a header.
  * Errors (LMG_ERROR_FILE_OPEN, LMG_ERROR_INPUT) say file, line and what was expected; names: the columns' names for the messages.
  */
 lmg_result table_read(const char *path, size_t columns, const char *names, table *out, lmg_error *err);

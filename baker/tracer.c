@@ -9,11 +9,11 @@
  *     emitted = escaped + absorbed + lost        (exactly)
  *
  * Light out of the colour gamut has negative components, and where a surface swallows those q exceeds 1: then the photon goes on as
- * floor(q) photons or one more, by chance, each of luminance 1, and the extra ones count as negative absorption, so that the balance
- * stays exact and its expectation right.  Nothing is cut off by the number of bounces: a light guide needs hundreds.
+ * floor(q) photons or one more, by chance, each of luminance 1, and the extra ones count as negative absorption, so that the
+ * balance stays exact and its expectation right.  Nothing is cut off by the number of bounces: a light guide needs hundreds.
  *
- * Solid dielectrics: the photon remembers which it is inside of (counted by material, innermost last); the innermost gives the index
- * on the other side of the next boundary and the absorption on the way there (Beer-Lambert, as survival).  Light that leaves
+ * Solid dielectrics: the photon remembers which it is inside of (counted by material, innermost last); the innermost gives the
+ * index on the other side of the next boundary and the absorption on the way there (Beer-Lambert, as survival).  Light that leaves
  * the model while still inside a solid came through a hole in its boundary: lost, and counted apart, as the model has to be mended.
  *
  * Path state is in double, in the model's frame minus its centre; rays are handed out in the luminaire's own frame.
@@ -84,8 +84,9 @@ typedef struct job {
 } job;
 
 /*
- * A thread follows WAVE paths side by side, one segment each in turn: their rays are traced together, then all hits are worked on.  The
- * memory that a hit needs is on its way meanwhile, and code and branches stay warm; a path's result doesn't depend on its company.
+ * A thread follows WAVE paths side by side, one segment each in turn: their rays are traced together, then all hits are worked on.
+ * The memory that a hit needs is on its way meanwhile, and code and branches stay warm; a path's result doesn't depend on its
+ * company.
  */
 enum { WAVE = 32 };
 
@@ -98,7 +99,7 @@ typedef struct worker {
     uint32_t pending_count;
     waiting_path pending[MAX_PENDING];
     uint16_t order[BAKE_CHUNK]; /* of a chunk's photons: order_photons */
-    float *record; /* benchmark only, else NULL */
+    float *record;              /* benchmark only, else NULL */
     size_t record_count, record_capacity;
     bake_batch batch;
 } worker;
@@ -114,8 +115,8 @@ static double luminance(const double c[3])
 }
 
 /*
- * How many photons go on, each with luminance 1, after an event that leaves the given share of each colour: mostly 0 or 1.  The path's
- * colour becomes theirs.
+ * How many photons go on, each with luminance 1, after an event that leaves the given share of each colour: mostly 0 or 1.  The
+ * path's colour becomes theirs.
  */
 static uint32_t survivors(path *p, const double share[3])
 {
@@ -332,8 +333,9 @@ static void record(worker *w)
     }
 }
 
-/* Puts the photons first .. first+count-1 (count at most BAKE_CHUNK) in the order of their first random number, roughly: it chooses the
- * emitting triangle, so neighbours in this order start close together and find the emitter, and the tree around it, in the cache. */
+/* Puts the photons first .. first+count-1 (count at most BAKE_CHUNK) in the order of their first random number, roughly: it chooses
+ * the emitting triangle, so neighbours in this order start close together and find the emitter, and the tree around it, in the
+ * cache. */
 static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t count)
 {
     enum { BUCKETS = 512 };
@@ -423,8 +425,8 @@ static void end(void *self, void *state)
     free(w);
 }
 
-static lmg_result run(bake_source *source, uint64_t first, uint64_t count, unsigned threads, const lmg_sink *sinks, size_t sink_count,
-                      bake_tally *tally, lmg_error *err)
+static lmg_result run(bake_source *source, uint64_t first, uint64_t count, unsigned threads, const lmg_sink *sinks,
+                      size_t sink_count, bake_tally *tally, lmg_error *err)
 {
     job j = {.tracer = (const tracer *)source, .sinks = sinks, .sink_count = sink_count};
     const bake_work work = {.self = &j, .begin = begin, .chunk = chunk, .end = end};
@@ -485,9 +487,10 @@ lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake
     if (result == LMG_OK) {
         t->source.flux = lum_emitters_flux(t->emitters, NULL);
         if (!(t->source.flux > 0) || !isfinite(t->source.flux))
-            result = lmg_fail(err, LMG_ERROR_INPUT,
-                              "%s: nothing in the model emits light; declare an emitter in a recipe or with --set emitter:NAME=800lm",
-                              model->path);
+            result =
+                lmg_fail(err, LMG_ERROR_INPUT,
+                         "%s: nothing in the model emits light; declare an emitter in a recipe or with --set emitter:NAME=800lm",
+                         model->path);
         if (model->rated_flux > 0)
             t->source.flux = model->rated_flux;
     }
@@ -497,10 +500,11 @@ lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake
         destroy(&t->source);
         return result;
     }
-    /* Positions are floats relative to the centre: their rounding, and the offsets off surfaces, stay within a few units in the last
-     * place of the largest coordinate.  A margin of 2^-20 of the size keeps every point of the luminaire inside the bounds. */
+    /* Positions are floats relative to the centre: their rounding, and the offsets off surfaces, stay within a few units in the
+     * last place of the largest coordinate.  A margin of 2^-20 of the size keeps every point of the luminaire inside the bounds. */
     const lmg_vec3 lo = model->bounds_min, hi = model->bounds_max, c = model->centre;
-    const double margin = 0x1p-20 * sqrt((hi.x - lo.x) * (hi.x - lo.x) + (hi.y - lo.y) * (hi.y - lo.y) + (hi.z - lo.z) * (hi.z - lo.z));
+    const double margin =
+        0x1p-20 * sqrt((hi.x - lo.x) * (hi.x - lo.x) + (hi.y - lo.y) * (hi.y - lo.y) + (hi.z - lo.z) * (hi.z - lo.z));
     t->source.bounds_min = (lmg_vec3){c.x + lo.x - margin, c.y + lo.y - margin, c.z + lo.z - margin};
     t->source.bounds_max = (lmg_vec3){c.x + hi.x + margin, c.y + hi.y + margin, c.z + hi.z + margin};
     *out = &t->source;

@@ -9,5 +9,6 @@
 void print_versions(FILE *to, struct argp_state *state)
 {
     (void)state;
-    fprintf(to, "lumibake %s (lumigraph %s; %s, jansson %s)\n", LMG_VERSION_STRING, lmg_version(), LUMIBOX_VERSIONS, jansson_version_str());
+    fprintf(to, "lumibake %s (lumigraph %s; %s, jansson %s)\n", LMG_VERSION_STRING, lmg_version(), LUMIBOX_VERSIONS,
+            jansson_version_str());
 }

@@ -4,8 +4,8 @@
  *
  * For each lamp: record a few million of its ray segments; then, several times in turn, so that a busy machine disturbs both alike:
  * Embree alone (rtcIntersect1 on the recorded segments, no use made of the hits), the tracer without sinks, the tracer into an
- * accumulator with the layout of a default bake.  The best of the turns counts.  One thread each, and all cores.  Time is the processor
- * time that the process got, divided by the threads, so that other work on the machine counts as little as can be.
+ * accumulator with the layout of a default bake.  The best of the turns counts.  One thread each, and all cores.  Time is the
+ * processor time that the process got, divided by the threads, so that other work on the machine counts as little as can be.
  *
  *     test_bench_tracer [--json] [LAMP.gltf ...]       default: the four sample lamps
  *
@@ -29,8 +29,8 @@ enum { SEGMENTS = 1000000, TURNS = 5 };
 
 typedef struct figures {
     double segments_per_photon;
-    double embree, bare, baking;        /* ray segments per second */
-    double bare_photons, baking_photons;/* photons per second */
+    double embree, bare, baking;         /* ray segments per second */
+    double bare_photons, baking_photons; /* photons per second */
 } figures;
 
 static void die(const lmg_error *err)
@@ -136,16 +136,17 @@ static figures measure(bake_source *tracer, const float *rays, size_t segments, 
 static void print_figures(const char *name, uint32_t triangles, unsigned threads, const figures *f, bool json, bool first)
 {
     if (json) {
-        printf("%s\n    {\"lamp\": \"%s\", \"triangles\": %u, \"threads\": %u, \"segments_per_photon\": %.4g, \"embree_rays_per_s\": %.5g, "
+        printf("%s\n    {\"lamp\": \"%s\", \"triangles\": %u, \"threads\": %u, \"segments_per_photon\": %.4g, "
+               "\"embree_rays_per_s\": %.5g, "
                "\"tracer_rays_per_s\": %.5g, \"baking_rays_per_s\": %.5g, \"baking_photons_per_s\": %.5g, \"tracer_ratio\": %.4f, "
                "\"baking_ratio\": %.4f, \"deposit_share\": %.4f}",
                first ? "" : ",", name, triangles, threads, f->segments_per_photon, f->embree, f->bare, f->baking, f->baking_photons,
                f->bare / f->embree, f->baking / f->embree, 1 - f->baking / f->bare);
         return;
     }
-    printf("%-18s %8u %7u %8.2f %9.2f %9.2f %9.2f %9.2f %8.0f %% %8.0f %% %7.0f %%\n", name, triangles, threads, f->segments_per_photon,
-           1e-6 * f->embree, 1e-6 * f->bare, 1e-6 * f->baking, 1e-6 * f->baking_photons, 100 * f->bare / f->embree,
-           100 * f->baking / f->embree, 100 * (1 - f->baking / f->bare));
+    printf("%-18s %8u %7u %8.2f %9.2f %9.2f %9.2f %9.2f %8.0f %% %8.0f %% %7.0f %%\n", name, triangles, threads,
+           f->segments_per_photon, 1e-6 * f->embree, 1e-6 * f->bare, 1e-6 * f->baking, 1e-6 * f->baking_photons,
+           100 * f->bare / f->embree, 100 * f->baking / f->embree, 100 * (1 - f->baking / f->bare));
     fflush(stdout);
 }
 
@@ -196,8 +197,9 @@ int main(int argc, char **argv)
     if (json)
         printf("{\"format\": \"lumibox bench tracer 1\", \"results\": [");
     else
-        printf("                                     segments  M segments/s                M photons/s   of Embree alone\n"
-               "lamp              triangles threads  /photon    Embree    tracer    baking    baking    tracer     baking deposit\n");
+        printf(
+            "                                     segments  M segments/s                M photons/s   of Embree alone\n"
+            "lamp              triangles threads  /photon    Embree    tracer    baking    baking    tracer     baking deposit\n");
     if (argc > 1 + json) {
         for (int i = 1 + json; i < argc; ++i)
             bench_lamp(argv[i], json, &first);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * The program lumibake as a user meets it: exit codes, messages, files left behind, Ctrl-C, the same bytes for any number of threads,
- * tables of numbers, and bad input of every kind, which must end in one line that begins with "error:".
+ * The program lumibake as a user meets it: exit codes, messages, files left behind, Ctrl-C, the same bytes for any number of
+ * threads, tables of numbers, and bad input of every kind, which must end in one line that begins with "error:".
  */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -27,8 +27,8 @@
 #include <unistd.h>
 
 static char folder[1024];
-static char lamp[1100];  /* a sample lamp */
-static char box[1100];   /* and its box, baked by setup */
+static char lamp[1100]; /* a sample lamp */
+static char box[1100];  /* and its box, baked by setup */
 
 enum { MAX_TEXT = 1 << 20, KILLED = 1000 };
 
@@ -236,8 +236,8 @@ static void test_dark_and_closed_lamps(void **state)
     snprintf(room, sizeof(room), "%s/models/room/room.gltf", LUMIBOX_BINARY_DIR);
     EXPECT(RUN("bake", room, "-o", in_folder("dark.exr"), "--photons", "1000"), 3, "emit");
     /* a source shut in black: everything is absorbed */
-    EXPECT(RUN("bake", lamp, "-o", in_folder("dark.exr"), "--photons", "1000", "--set", "leave-out:Reflector", "--set", "leave-out:Housing",
-               "--set", "no-emission:Source"),
+    EXPECT(RUN("bake", lamp, "-o", in_folder("dark.exr"), "--photons", "1000", "--set", "leave-out:Reflector", "--set",
+               "leave-out:Housing", "--set", "no-emission:Source"),
            3, "emit");
     assert_int_not_equal(access(in_folder("dark.exr"), F_OK), 0);
 }
@@ -249,8 +249,8 @@ static void test_same_bytes_for_any_threads(void **state)
     char *first = NULL;
     size_t first_size = 0;
     for (int i = 0; i < 3; ++i) {
-        outcome o = RUN("bake", lamp, "-o", in_folder("threads.box.exr"), "--photons", "300000", "--cells", "3e5", "--seed", "5", "--threads",
-                        THREADS[i], "--json");
+        outcome o = RUN("bake", lamp, "-o", in_folder("threads.box.exr"), "--photons", "300000", "--cells", "3e5", "--seed", "5",
+                        "--threads", THREADS[i], "--json");
         assert_int_equal(o.code, 0);
         release(&o);
         size_t size;
@@ -295,14 +295,15 @@ static double number_at(json_t *o, const char *a, const char *b)
 static void test_bake_summary_and_flux(void **state)
 {
     (void)state;
-    outcome o = RUN("bake", lamp, "-o", in_folder("flux.box.exr"), "--photons", "100000", "--cells", "1e5", "--output-flux", "1234lm",
-                    "--json");
+    outcome o = RUN("bake", lamp, "-o", in_folder("flux.box.exr"), "--photons", "100000", "--cells", "1e5", "--output-flux",
+                    "1234lm", "--json");
     assert_int_equal(o.code, 0);
     json_t *j = parse_json(o.out);
     assert_true(fabs(number_at(j, "stored", "lm") + number_at(j, "residual", "lm") - 1234) < 1e-3);
     assert_int_equal(number_at(j, "photons", NULL), 100000);
     assert_true(number_at(j, "lost", "lm") <= 1e-6 * number_at(j, "emitted", "lm"));
-    const double sum = number_at(j, "stored", "lm") + number_at(j, "residual", "lm") + number_at(j, "absorbed", "lm") + number_at(j, "lost", "lm");
+    const double sum =
+        number_at(j, "stored", "lm") + number_at(j, "residual", "lm") + number_at(j, "absorbed", "lm") + number_at(j, "lost", "lm");
     assert_true(fabs(sum - number_at(j, "emitted", "lm")) < 1e-6 * sum);
     json_decref(j);
     release(&o);
@@ -346,7 +347,8 @@ static void test_interrupt(void **state)
         char path[1200];
         snprintf(path, sizeof(path), "%s/interrupted.box.exr", folder);
         unlink(path);
-        const pid_t pid = start((const char *const[]){"bake", lamp, "-o", path, "--time", "200s", "--cells", "1e5", "--progress", NULL});
+        const pid_t pid =
+            start((const char *const[]){"bake", lamp, "-o", path, "--time", "200s", "--cells", "1e5", "--progress", NULL});
         /* once the first round is through there is something to interrupt */
         for (int k = 0; k < 600; ++k) {
             pause_seconds(0.1);
@@ -377,7 +379,8 @@ static void test_interrupt(void **state)
 static void test_probe(void **state)
 {
     (void)state;
-    static const char TABLE[] = "x, y, z, nx, ny, nz\n# a comment\n\n0,-2,0, 0,1,0\r\n 0.1;-3;0.2;0;2;0 # normals needn't be unit\n0\t-1e1\t0\t0\t1\t0\n";
+    static const char TABLE[] =
+        "x, y, z, nx, ny, nz\n# a comment\n\n0,-2,0, 0,1,0\r\n 0.1;-3;0.2;0;2;0 # normals needn't be unit\n0\t-1e1\t0\t0\t1\t0\n";
     write_file(in_folder("points.csv"), TABLE, sizeof(TABLE) - 1);
     outcome o = RUN("probe", box, "--points", in_folder("points.csv"));
     assert_int_equal(o.code, 0);
@@ -385,8 +388,8 @@ static void test_probe(void **state)
     double v[3][8];
     const char *line = strchr(o.out, '\n') + 1;
     for (int i = 0; i < 3; ++i, line = strchr(line, '\n') + 1)
-        assert_int_equal(sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", &v[i][0], &v[i][1], &v[i][2], &v[i][3], &v[i][4], &v[i][5], &v[i][6],
-                                &v[i][7]),
+        assert_int_equal(sscanf(line, "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", &v[i][0], &v[i][1], &v[i][2], &v[i][3], &v[i][4], &v[i][5],
+                                &v[i][6], &v[i][7]),
                          8);
     /* about 36 kcd straight down, the narrow beam's blur aside */
     assert_true(v[0][6] > 5000 && v[0][6] < 11000);
@@ -454,7 +457,8 @@ static void test_compare(void **state)
     json_t *j = parse_json(o.out);
     json_t *sides = json_object_get(j, "sides");
     const double a = number_at(json_array_get(sides, 0), "flux_lm", NULL), b = number_at(json_array_get(sides, 1), "flux_lm", NULL);
-    const double ea = number_at(json_array_get(sides, 0), "flux_standard_error", NULL), eb = number_at(json_array_get(sides, 1), "flux_standard_error", NULL);
+    const double ea = number_at(json_array_get(sides, 0), "flux_standard_error", NULL),
+                 eb = number_at(json_array_get(sides, 1), "flux_standard_error", NULL);
     assert_true(ea > 0 && eb > 0);
     assert_true(fabs(a - b) < 4 * hypot(ea, eb));
     json_t *planes = json_object_get(j, "planes");
@@ -493,7 +497,8 @@ static void try_file_as(const char *path, bool shining)
     char output[1200];
     snprintf(output, sizeof(output), "%s/hard.box.exr", folder);
     unlink(output);
-    outcome o = shining ? RUN("bake", path, "-o", output, "--photons", "1000", "--cells", "1e4", "--no-recipe", "--set", "emitter:*=100cd/m2")
+    outcome o = shining ? RUN("bake", path, "-o", output, "--photons", "1000", "--cells", "1e4", "--no-recipe", "--set",
+                              "emitter:*=100cd/m2")
                         : RUN("bake", path, "-o", output, "--photons", "1000", "--cells", "1e4", "--no-recipe");
     ++files_tried;
     const int errors = lines_with(o.err, "error:");
@@ -502,7 +507,8 @@ static void try_file_as(const char *path, bool shining)
         if (errors != 0 || access(output, R_OK) != 0)
             fail_msg("%s: exit code 0, but %d errors or no file: %s", path, errors, o.err);
     } else if (o.code != 3 || errors != 1 || access(output, F_OK) == 0) {
-        fail_msg("%s: exit code %d, %d error lines, output %s: %s", path, o.code, errors, access(output, F_OK) == 0 ? "left" : "none", o.err);
+        fail_msg("%s: exit code %d, %d error lines, output %s: %s", path, o.code, errors,
+                 access(output, F_OK) == 0 ? "left" : "none", o.err);
     }
     release(&o);
 }
@@ -581,8 +587,8 @@ static void test_wrong_kinds(void **state)
     assert_int_not_equal(access(in_folder("x.exr"), F_OK), 0);
 }
 
-/* A box cut off anywhere, or with any bit turned, is refused - unless the bit carries nothing (after the end of a deflate stream): then all
- * reads as before. */
+/* A box cut off anywhere, or with any bit turned, is refused - unless the bit carries nothing (after the end of a deflate stream):
+ * then all reads as before. */
 static void test_damaged_boxes(void **state)
 {
     (void)state;

@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * The whole chain - glTF, bake, box file, reading, illuminance - against closed forms: Lambertian disc, square and sphere, and the far
- * axial intensity of the paraboloid spot.  Fixed seeds; every value must lie within 3 of its own standard errors and within 1 % (the
- * spot: 2 %).  A point's error goes as sqrt(sqrt(cells)) / sqrt(photons), so uniform emitters are baked into fewer cells than the default.
+ * The whole chain - glTF, bake, box file, reading, illuminance - against closed forms: Lambertian disc, square and sphere, and the
+ * far axial intensity of the paraboloid spot.  Fixed seeds; every value must lie within 3 of its own standard errors and within 1 %
+ * (the spot: 2 %).  A point's error goes as sqrt(sqrt(cells)) / sqrt(photons), so uniform emitters are baked into fewer cells than
+ * the default.
  */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -83,7 +84,8 @@ static void expect_near(double e, double error, double expected, const char *wha
     assert_true(fabs(e - expected) < 0.01 * expected);
 }
 
-static void expect_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, double expected, const char *what, double at)
+static void expect_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, double expected, const char *what,
+                               double at)
 {
     double rgb[3], error;
     lmg_error err = {{0}};
@@ -118,14 +120,14 @@ static void test_disc(void **state)
     const double ratios[][2] = {{0.5, 0.5}, {1, 0.8}, {2, 16.0 / 17}, {5, 100.0 / 101}, {10, 400.0 / 401}};
     for (int i = 0; i < 5; ++i) {
         const double d = ratios[i][0] * diameter;
-        expect_illuminance(field, (lmg_vec3){centre.x + d, centre.y, centre.z}, (lmg_vec3){-1, 0, 0}, ratios[i][1] * intensity / (d * d),
-                           "disc, diameters", ratios[i][0]);
+        expect_illuminance(field, (lmg_vec3){centre.x + d, centre.y, centre.z}, (lmg_vec3){-1, 0, 0},
+                           ratios[i][1] * intensity / (d * d), "disc, diameters", ratios[i][0]);
     }
     lmg_field_destroy(field);
 }
 
-/* A square facing -y.  On the axis, h = d / (a/2): E = 4 L X / sqrt(1+h^2) atan(1/sqrt(1+h^2)), the view factor of four quarters, each
- * 1/(2 pi) 2 (1/sqrt(1+h^2)) atan(1/sqrt(1+h^2)). */
+/* A square facing -y.  On the axis, h = d / (a/2): E = 4 L X / sqrt(1+h^2) atan(1/sqrt(1+h^2)), the view factor of four quarters,
+ * each 1/(2 pi) 2 (1/sqrt(1+h^2)) atan(1/sqrt(1+h^2)). */
 static void test_square(void **state)
 {
     (void)state;
@@ -140,15 +142,15 @@ static void test_square(void **state)
         const double d = known[i][0] * side, h = d / (side / 2), root = sqrt(1 + h * h);
         const double expected = 4 * luminance * atan(1 / root) / root;
         assert_true(fabs(expected - known[i][1] * intensity / (d * d)) < 1e-4 * intensity / (d * d)); /* the table's last digit */
-        expect_illuminance(field, (lmg_vec3){corner[0] + side / 2, corner[1] - d, corner[2] + side / 2}, (lmg_vec3){0, 1, 0}, expected,
-                           "square, sides", known[i][0]);
+        expect_illuminance(field, (lmg_vec3){corner[0] + side / 2, corner[1] - d, corner[2] + side / 2}, (lmg_vec3){0, 1, 0},
+                           expected, "square, sides", known[i][0]);
     }
     lmg_field_destroy(field);
 }
 
-/* A Lambertian sphere: E = pi L r^2 / d^2 facing it, at any distance.  The facets' mean projected area is a quarter of their surface
- * (Cauchy), so corners are moved out until the mesh has the sphere's area.  Measured as a goniophotometer would: the mean over 24
- * directions all round, whose cells are different ones and so have independent errors. */
+/* A Lambertian sphere: E = pi L r^2 / d^2 facing it, at any distance.  The facets' mean projected area is a quarter of their
+ * surface (Cauchy), so corners are moved out until the mesh has the sphere's area.  Measured as a goniophotometer would: the mean
+ * over 24 directions all round, whose cells are different ones and so have independent errors. */
 static void test_sphere(void **state)
 {
     (void)state;
@@ -187,12 +189,14 @@ static void test_paraboloid_spot(void **state)
     snprintf(path, sizeof(path), "%s/models/paraboloid-spot/paraboloid-spot.gltf", LUMIBOX_BINARY_DIR);
     lmg_field *field = bake_file(path, "spot", 30000000, 0);
     const double a = SPOT_SOURCE_RADIUS, luminance = SPOT_FLUX / (4 * PI * PI * a * a);
-    const double expected = SPOT_REFLECTANCE * luminance * PI * (SPOT_RIM_RADIUS * SPOT_RIM_RADIUS - a * a) + luminance * PI * a * a;
+    const double expected =
+        SPOT_REFLECTANCE * luminance * PI * (SPOT_RIM_RADIUS * SPOT_RIM_RADIUS - a * a) + luminance * PI * a * a;
     double rgb[3], error;
     lmg_error err = {{0}};
     assert_int_equal(lmg_field_intensity(field, (lmg_vec3){0, -1, 0}, rgb, &error, &err), LMG_OK);
     const double i = 0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2];
-    print_message("spot: axial intensity %.5g cd +- %.2g, closed form %.5g: %+.2f %%\n", i, error, expected, 100 * (i / expected - 1));
+    print_message("spot: axial intensity %.5g cd +- %.2g, closed form %.5g: %+.2f %%\n", i, error, expected,
+                  100 * (i / expected - 1));
     assert_true(fabs(i - expected) < 0.02 * expected);
 
     const double h = SPOT_APEX - SPOT_FOCAL_LENGTH, direct = (1 - h / hypot(h, SPOT_RIM_RADIUS)) / 2;

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * The photon tracer as a whole: energy balance in whole photons, clear and absorbing slabs against closed forms, light guides, solids
- * inside one another, open solids, coloured light out of gamut, and independence of threads and of how a range is split.
- * All seeds are fixed.  Statistical tolerances: 4 standard errors, p < 7e-5 for each of about 30 comparisons.
+ * The photon tracer as a whole: energy balance in whole photons, clear and absorbing slabs against closed forms, light guides,
+ * solids inside one another, open solids, coloured light out of gamut, and independence of threads and of how a range is split. All
+ * seeds are fixed.  Statistical tolerances: 4 standard errors, p < 7e-5 for each of about 30 comparisons.
  */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -98,15 +98,18 @@ static void count_rays(void *self, const lmg_ray *rays, size_t count)
     for (size_t i = 0; i < count; ++i) {
         const lmg_ray *r = &rays[i];
         uint64_t h = r->number;
-        const double values[9] = {r->origin.x,           r->origin.y,           r->origin.z,           r->direction.x, r->direction.y, r->direction.z,
-                                  (double)r->flux[0], (double)r->flux[1], (double)r->flux[2]};
+        const double values[9] = {r->origin.x,    r->origin.y,        r->origin.z,        r->direction.x,    r->direction.y,
+                                  r->direction.z, (double)r->flux[0], (double)r->flux[1], (double)r->flux[2]};
         for (int k = 0; k < 9; ++k)
             h = lum_mix64(h ^ bits(values[k]));
         c->hash += h;
         ++c->rays;
-        const double length = sqrt(r->direction.x * r->direction.x + r->direction.y * r->direction.y + r->direction.z * r->direction.z);
+        const double length =
+            sqrt(r->direction.x * r->direction.x + r->direction.y * r->direction.y + r->direction.z * r->direction.z);
         /* float rounding of three components whose weighted sum is 1 */
-        if (fabs(length - 1) > 1e-12 || fabs(lmg_luminance(r->flux) - 1) > 4 * 0x1p-24 * (fabs((double)r->flux[0]) + fabs((double)r->flux[1]) + fabs((double)r->flux[2])))
+        if (fabs(length - 1) > 1e-12 ||
+            fabs(lmg_luminance(r->flux) - 1) >
+                4 * 0x1p-24 * (fabs((double)r->flux[0]) + fabs((double)r->flux[1]) + fabs((double)r->flux[2])))
             ++c->bad;
         c->down += r->direction.y < 0;
     }
@@ -131,7 +134,8 @@ static lum_model *lossless_lamp(void)
 {
     lum_model *m = make_model();
     const uint32_t white = make_lambert(m, 1), rough = make_mirror(m, 1, 0.4f), mirror = make_mirror(m, 1, 0);
-    const uint32_t glass = make_glass(m, 1.52f, 0, false), frosted = make_glass(m, 1.5f, 0.5f, false), pane = make_glass(m, 1.5f, 0, true);
+    const uint32_t glass = make_glass(m, 1.52f, 0, false), frosted = make_glass(m, 1.5f, 0.5f, false),
+                   pane = make_glass(m, 1.5f, 0, true);
     const uint32_t source = make_lambert(m, 1);
     emit(m, source, 1000, 1000, 1000);
     make_sphere(m, v3(0.013, 0.021, -0.007), 0.02, 16, false, true, source);
@@ -162,8 +166,8 @@ static void test_white_furnace(void **state)
     const uint64_t photons = 1000000;
     const bake_tally t = trace(s, 0, photons, 0, &sink);
     assert_balanced(&t);
-    print_message("furnace: %.0f absorbed, %.0f lost (%.0f inside solids) of %.0f, %.1f segments each\n", t.absorbed, t.lost, t.lost_inside,
-                  t.emitted, (double)t.segments / t.emitted);
+    print_message("furnace: %.0f absorbed, %.0f lost (%.0f inside solids) of %.0f, %.1f segments each\n", t.absorbed, t.lost,
+                  t.lost_inside, t.emitted, (double)t.segments / t.emitted);
     assert_true(t.absorbed == 0); /* weights are exactly 1 */
     assert_true(t.lost <= 1e-6 * (double)photons);
     assert_int_equal(c.rays, (uint64_t)t.escaped);
@@ -187,7 +191,8 @@ static void test_furnace_notices_loss(void **state)
     free_model(m);
 }
 
-/* Light that can't get out: nothing leaks through edges and corners of a closed mirror box, and the runaway guard ends it as lost. */
+/* Light that can't get out: nothing leaks through edges and corners of a closed mirror box, and the runaway guard ends it as lost.
+ */
 static void test_closed_box(void **state)
 {
     (void)state;
@@ -294,15 +299,16 @@ static void test_light_guide(void **state)
     const uint32_t glass = make_glass(m, 1.5f, 0, false), source = make_material(m, LUM_SURFACE_BLACK);
     emit(m, source, 1, 1, 1);
     make_box(m, v3(-0.002, -0.002, 0), v3(0.002, 0.002, 1.5), false, 1, glass);
-    make_quad(m, v3(-0.0005, -0.0005, -1e-5), v3(0.001, 0, 0), v3(0, 0.001, 0), 1, source); /* shines along +z, 10 um from the end */
+    make_quad(m, v3(-0.0005, -0.0005, -1e-5), v3(0.001, 0, 0), v3(0, 0.001, 0), 1,
+              source); /* shines along +z, 10 um from the end */
     finish_model(m);
     bake_source *s = tracer_of(m, 3);
     census c = {0};
     const lmg_sink sink = {&c, count_rays};
     const bake_tally t = trace(s, 0, 20000, 0, &sink);
     assert_balanced(&t);
-    print_message("light guide: %.0f of %.0f out, %.0f absorbed by the source, %.0f lost; %.0f segments each\n", t.escaped, t.emitted,
-                  t.absorbed, t.lost, (double)t.segments / t.emitted);
+    print_message("light guide: %.0f of %.0f out, %.0f absorbed by the source, %.0f lost; %.0f segments each\n", t.escaped,
+                  t.emitted, t.absorbed, t.lost, (double)t.segments / t.emitted);
     assert_true(t.lost == 0);
     assert_true((double)t.segments / t.emitted > 200);
     assert_int_equal(c.bad, 0);
@@ -328,8 +334,8 @@ static void test_source_inside_glass(void **state)
     assert_true(t.escaped == t.emitted);
 
     /* With absorption: light goes once through the sphere (a source in the middle meets the surface head-on) and comes out with
-     * T = sum over k of (1-r) r^k e^(2k+1) at least, where the first path is 46 mm and further ones at most 104 mm; the source's own
-     * size makes paths differ by 4 mm.  Bounds: */
+     * T = sum over k of (1-r) r^k e^(2k+1) at least, where the first path is 46 mm and further ones at most 104 mm; the source's
+     * own size makes paths differ by 4 mm.  Bounds: */
     for (int k = 0; k < 3; ++k)
         m->materials[glass].absorption[k] = 20;
     s->destroy(s);
@@ -365,12 +371,13 @@ static void test_open_solid(void **state)
 
 /* -------------------------------------------------------------------------------------------------------------- colour */
 
-/* Coloured walls round a coloured source: the light of each channel is that of a grey furnace of its own.  One diffuse quad (albedo c)
- * under a small one-sided source: E[flux of channel k that leaves] = emitted_k (1 - F + F c_k), F the share that hits. */
+/* Coloured walls round a coloured source: the light of each channel is that of a grey furnace of its own.  One diffuse quad (albedo
+ * c) under a small one-sided source: E[flux of channel k that leaves] = emitted_k (1 - F + F c_k), F the share that hits. */
 static void check_colours(const float source_colour[3], const float albedo[3], uint64_t seed)
 {
     lum_model *m = make_model();
-    const uint32_t wall = make_lambert(m, 1), source = make_material(m, LUM_SURFACE_BLACK), shade = make_material(m, LUM_SURFACE_BLACK);
+    const uint32_t wall = make_lambert(m, 1), source = make_material(m, LUM_SURFACE_BLACK),
+                   shade = make_material(m, LUM_SURFACE_BLACK);
     for (int k = 0; k < 3; ++k)
         m->materials[wall].base_color[k] = albedo[k];
     emit(m, source, source_colour[0], source_colour[1], source_colour[2]);
