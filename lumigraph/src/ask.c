@@ -59,13 +59,15 @@ void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direct
     if (j < 0)
         return;
     const lmg_slab *slab = &field->layout.slabs[j];
+    /* the cell is asked for before it's known to be needed: the access to memory is what takes time */
+    uint64_t cell = lmg_plan_cell(plan, j, uvst);
+    lmg_cell_prefetch(field, (uint32_t)j, cell);
     if (!lmg_downstream(&field->layout, origin, direction, v_dot(v_sub(origin, slab->o), slab->n)))
         return;
     if (filter == LMG_LINEAR) {
         linear(field, j, uvst, rgb, standard_error);
         return;
     }
-    uint64_t cell = lmg_plan_cell(plan, j, uvst);
     lmg_cell_rgb(field, (uint32_t)j, cell, rgb);
     if (standard_error)
         *standard_error = field->slabs[j].standard_error[cell];
@@ -211,7 +213,8 @@ typedef struct integral {
     const lmg_slab *slab;
     lmg_vec3 point, normal;
     double h;   /* of the point past the plane; negative: before it */
-    bool whole; /* every line is the slab's own and comes out of the bounds before the point */
+    bool whole; /* every line is the slab's own and comes out of the bounds before the point, but for those of the window */
+    const lmg_slab *window; /* slab of higher priority in the same frame; NULL: none */
     cell_weights *weights;
 } integral;
 
@@ -251,6 +254,9 @@ static bool add_rectangle(const integral *q, uint64_t iu, uint64_t iv, double u0
         lmg_slab_st(slab, middle, v_dot(middle, slab->n), mu, mv, &s, &t);
         if (!lmg_in_st(slab, s, slab->s0, slab->s1) || !lmg_in_st(slab, t, slab->t0, slab->t1))
             continue;
+        const lmg_slab *x = q->window;
+        if (x && u >= x->u0 && u < x->u1 && v >= x->v0 && v < x->v1 && lmg_in_st(x, s, x->s0, x->s1) && lmg_in_st(x, t, x->t0, x->t1))
+            continue;
         double r2 = v_dot(d, d);
         uint64_t is = lmg_cell_of(s, slab->s0, scale[2], slab->ns), it = lmg_cell_of(t, slab->t0, scale[3], slab->nt);
         if (!weights_add(q->weights, ((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is,
@@ -260,8 +266,9 @@ static bool add_rectangle(const integral *q, uint64_t iu, uint64_t iv, double u0
     return true;
 }
 
-/* Levels by which a piece across a border of what the slab owns is quartered. */
-enum { BORDER_LEVELS = 6 };
+/* Levels by which a piece across a border of what the slab owns is quartered; in slabs with little of the light. */
+enum { BORDER_LEVELS = 6, FAINT_BORDER_LEVELS = 3 };
+static const double FAINT = 0.01;
 
 static bool add_piece(const integral *q, uint64_t iu, uint64_t iv, double u0, double v0, double width, double height, int levels)
 {
@@ -292,11 +299,15 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
     /* A plane that lies ahead of the light (h < 0) counts for points beside the bounds, and only where it sticks out of them. */
     if (h == 0 || field->slabs[j].flux == 0 || (h < 0 && (e->inside || within || !lmg_box_behind(field->layout.bounds_min, field->layout.bounds_max, slab->n, point))))
         return LMG_OK;
-    const integral q = {field, j, slab, point, normal, h, lmg_etendue_is_full(e), weights};
+    /* a window alone is told by coordinates, exactly where its borders are borders of cells, as lmg_layout_fit makes them */
+    const lmg_slab *window = e->inside && e->aligned_overlap && e->higher_count == 1 ? &field->layout.slabs[e->higher[0]] : NULL;
+    bool downstream = !within || h > 0;
+    const integral q = {field, j, slab, point, normal, h, (lmg_etendue_is_full(e) || window) && downstream, window, weights};
+    int levels = field->slabs[j].flux < FAINT * field->sampler->flux ? FAINT_BORDER_LEVELS : BORDER_LEVELS;
     /* cube slabs: only the part of the plane seen at slopes up to 1 */
     bool cube = slab->kind == LMG_SLAB_CUBE;
     double reach = cube ? fabs(h) : (double)INFINITY;
-    double u0 = fmax(slab->u0, pu - reach), u1 = fmin(slab->u1, pu + reach), v0 = fmax(slab->v0, pv - reach), v1 = fmin(slab->v1, pv + reach);
+    double u0 = d_max(slab->u0, pu - reach), u1 = d_min(slab->u1, pu + reach), v0 = d_max(slab->v0, pv - reach), v1 = d_min(slab->v1, pv + reach);
     if (!(u1 > u0 && v1 > v0))
         return LMG_OK;
     /* s = (pu - u) / h, or u + D (pu - u) / h; at u = pu it is 0 or pu */
@@ -318,19 +329,19 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
             double wanted_u = 4 * a / nearest, wanted_v = 4 * b / nearest;
             if (!q.whole) {
                 /* nothing of the bounds' shadow is to slip through between corners and middle */
-                wanted_u = fmax(wanted_u, 12 * a / fabs(v_dot(extent, slab->a)));
-                wanted_v = fmax(wanted_v, 12 * b / fabs(v_dot(extent, slab->b)));
+                wanted_u = d_max(wanted_u, 12 * a / fabs(v_dot(extent, slab->a)));
+                wanted_v = d_max(wanted_v, 12 * b / fabs(v_dot(extent, slab->b)));
             }
             if (!cube) {
                 /* two points to a piece: six to an (s,t) cell */
-                wanted_u = fmax(wanted_u, 3 * a / nearest * scale[2]);
-                wanted_v = fmax(wanted_v, 3 * b / nearest * scale[3]);
+                wanted_u = d_max(wanted_u, 3 * a / nearest * scale[2]);
+                wanted_v = d_max(wanted_v, 3 * b / nearest * scale[3]);
             }
             int nx = pieces(wanted_u), ny = pieces(wanted_v);
             uint64_t iu = lmg_cell_of(a0 + 0.5 * a, slab->u0, scale[0], slab->nu), iv = lmg_cell_of(b0 + 0.5 * b, slab->v0, scale[1], slab->nv);
             for (int m = 0; m < ny; m++)
                 for (int k = 0; k < nx; k++)
-                    if (!add_piece(&q, iu, iv, a0 + a * k / nx, b0 + b * m / ny, a / nx, b / ny, BORDER_LEVELS))
+                    if (!add_piece(&q, iu, iv, a0 + a * k / nx, b0 + b * m / ny, a / nx, b / ny, levels))
                         r = lmg_fail(err, LMG_ERROR_MEMORY, "illuminance: no memory");
         }
     weights_flush(weights, field, j, rgb, variance);

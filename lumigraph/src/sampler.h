@@ -9,16 +9,18 @@
 
 /*
  * How bright a group of slabs is seen from where: slabs that share a frame and so one (u,v) plane.  The plane is cut in blocks, 1 x 1 to
- * 16 x 16 (levels), each with a coarse picture of its mean luminance over (s,t), 16 x 16 bins and their averages down to 1 x 1 (mips).
- * A beam window has a table of its own, so that the bins follow the beam; tables include the light of all slabs of the group that lie
- * in their (s,t) rectangle.
+ * 16 x 16 (levels), each with a coarse picture of its mean luminance over directions, 16 x 16 bins and their averages down to 1 x 1
+ * (mips).  Directions are (s,t) of cube slabs, direction cosines of aperture slabs.  A beam window has a table of its own, so that the
+ * bins follow the beam; tables include the light of all slabs of the group that lie in their rectangle.
  */
-enum { LMG_LEVELS = 5, LMG_BINS = 16, LMG_PICTURE = 256 + 64 + 16 + 4 + 1, LMG_BLOCKS = 1 + 4 + 16 + 64 + 256 };
+enum { LMG_LEVELS = 5, LMG_BINS = 16, LMG_PICTURE = 256 + 64 + 16 + 4 + 1, LMG_PARENTS = 1 + 4 + 16 + 64 };
 
 typedef struct lmg_brightness {
-    double s0, s1, t0, t1;
-    double bin_s, bin_t; /* width of the finest bins */
-    float *picture;      /* LMG_BLOCKS pictures of LMG_PICTURE values */
+    double x0, x1, y0, y1; /* rectangle of directions */
+    float x_scale, y_scale; /* bins per unit */
+    float finest, inv_finest; /* width of the narrower finest bins */
+    uint16_t root[LMG_PICTURE]; /* luminance as the upper half of a float */
+    uint16_t *children; /* for each block of levels 0 to 3, each bin: the values of its four children side by side */
 } lmg_brightness;
 
 typedef struct lmg_group {
@@ -40,6 +42,7 @@ struct lmg_sampler {
     uint64_t row_count;
     uint64_t first_row[LMG_MAX_SLABS + 1];
     uint32_t row_length[LMG_MAX_SLABS];
+    double flux; /* of all groups, lumens */
     uint32_t group_count;
     lmg_group groups[LMG_MAX_SLABS];
     int8_t group_of[LMG_MAX_SLABS]; /* -1: no light */
@@ -50,6 +53,15 @@ static inline double lmg_cell_luminance(const lmg_field *field, uint32_t j, uint
 {
     const float *r = field->slabs[j].radiance;
     return field->layout.channels == 1 ? (double)r[cell] : lmg_luminance(&r[3 * cell]);
+}
+
+static inline void lmg_cell_prefetch(const lmg_field *field, uint32_t j, uint64_t cell)
+{
+#if defined(__GNUC__)
+    __builtin_prefetch(&field->slabs[j].radiance[cell * field->layout.channels]);
+#else
+    (void)field, (void)j, (void)cell;
+#endif
 }
 
 /* R,G,B of a cell. */

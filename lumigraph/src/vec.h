@@ -55,6 +55,17 @@ static inline double v_axis(lmg_vec3 a, int axis)
     return axis == 0 ? a.x : axis == 1 ? a.y : a.z;
 }
 
+/* Without fmin's care for NaN, which costs a call. */
+static inline double d_min(double x, double y)
+{
+    return x < y ? x : y;
+}
+
+static inline double d_max(double x, double y)
+{
+    return x > y ? x : y;
+}
+
 static inline double d_clamp(double x, double lo, double hi)
 {
     return x < lo ? lo : x > hi ? hi : x;
