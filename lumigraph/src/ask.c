@@ -206,12 +206,6 @@ static int pieces(double wanted)
     return (int)d_clamp(ceil(wanted), 1, MAX_PIECES);
 }
 
-/* Pieces, of two points each, for a width of so many (s,t) cells with curved borders: three to a cell; of many, whose errors cancel, one. */
-static double pieces_across(double cells)
-{
-    return cells < 3 ? 3 * cells : 6 + cells;
-}
-
 /* What the integration over one slab's plane shares. */
 typedef struct integral {
     const lmg_field *field;
@@ -339,14 +333,9 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
                 wanted_v = d_max(wanted_v, 12 * b / fabs(v_dot(extent, slab->b)));
             }
             if (!cube) {
-                /* Nothing of a window's directions?  (s,t) changes by at most about twice the angle between two places' directions. */
-                double s, t, margin = 2 * hypot(a, b) / nearest;
-                lmg_vec3 middle = line_from(&q, a0 + 0.5 * a, b0 + 0.5 * b);
-                lmg_slab_st(slab, middle, v_dot(middle, slab->n), a0 + 0.5 * a, b0 + 0.5 * b, &s, &t);
-                if (s < slab->s0 - margin || s > slab->s1 + margin || t < slab->t0 - margin || t > slab->t1 + margin)
-                    continue;
-                wanted_u = d_max(wanted_u, pieces_across(a / nearest * scale[2]));
-                wanted_v = d_max(wanted_v, pieces_across(b / nearest * scale[3]));
+                /* two points to a piece: six to an (s,t) cell */
+                wanted_u = d_max(wanted_u, 3 * a / nearest * scale[2]);
+                wanted_v = d_max(wanted_v, 3 * b / nearest * scale[3]);
             }
             int nx = pieces(wanted_u), ny = pieces(wanted_v);
             uint64_t iu = lmg_cell_of(a0 + 0.5 * a, slab->u0, scale[0], slab->nu), iv = lmg_cell_of(b0 + 0.5 * b, slab->v0, scale[1], slab->nv);
