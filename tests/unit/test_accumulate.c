@@ -450,6 +450,128 @@ static void one_colour_needs_one_channel(void **state)
     free(rays);
 }
 
+/* ---------------------------------------------------------------------------------------------------- saving and loading */
+
+typedef struct saved {
+    unsigned char *bytes;
+    size_t size, capacity;
+} saved;
+
+static bool keep_bytes(void *self, const void *bytes, size_t count)
+{
+    saved *s = self;
+    if (s->size + count > s->capacity) {
+        s->capacity = 2 * s->capacity + count;
+        s->bytes = realloc(s->bytes, s->capacity);
+        assert_non_null(s->bytes);
+    }
+    memcpy(s->bytes + s->size, bytes, count);
+    s->size += count;
+    return true;
+}
+
+static bool refuse_bytes(void *self, const void *bytes, size_t count)
+{
+    (void)self, (void)bytes, (void)count;
+    return false;
+}
+
+static saved save(const lmg_accumulator *acc)
+{
+    saved s = {0};
+    lmg_error err;
+    if (lmg_accumulator_save(acc, keep_bytes, &s, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    return s;
+}
+
+/* Rays with all that an accumulator can hold: three channels with negative components, unplaced and refused ones, empty cells. */
+static lmg_accumulator *varied(uint32_t channels, uint64_t first, size_t count)
+{
+    lmg_fit_options o = {.struct_size = sizeof o, .cells = 200000, .channels = channels};
+    const lmg_layout l = lamp_layout(LAMP_LENS, &o);
+    lmg_accumulator *acc;
+    assert_int_equal(lmg_accumulator_create(&l, &acc, NULL), LMG_OK);
+    lmg_ray *rays = lamp_rays(LAMP_LENS, 3, first, count);
+    for (size_t i = 0; i < count; i++) {
+        const double w = exp(20 * (double)(rays[i].number % 97) / 97 - 10);
+        rays[i].flux[0] = (float)(w * 1.9);
+        rays[i].flux[1] = (float)(w * 0.9);
+        rays[i].flux[2] = (float)(w * -0.4);
+        if (i % 101 == 7)
+            rays[i].flux[1] = NAN;
+    }
+    lmg_accumulator_deposit(acc, rays, count);
+    free(rays);
+    return acc;
+}
+
+static void saved_counts_come_back(void **state)
+{
+    (void)state;
+    for (uint32_t channels = 1; channels <= 3; channels += 2) {
+        lmg_accumulator *acc = varied(channels, 0, 20000), *back;
+        saved s = save(acc);
+        lmg_error err;
+        if (lmg_accumulator_load(s.bytes, s.size, &back, &err) != LMG_OK)
+            fail_msg("%s", err.message);
+        assert_int_equal(back->bytes, acc->bytes);
+        for (size_t i = 0; i < acc->bytes / sizeof(uint64_t); i++)
+            assert_true(back->words[i] == acc->words[i]);
+        assert_memory_equal(&back->layout.slabs[0], &acc->layout.slabs[0], sizeof(lmg_slab));
+        const lmg_deposit_totals x = lmg_accumulator_totals(acc), y = lmg_accumulator_totals(back);
+        assert_memory_equal(&x, &y, sizeof x);
+        assert_true(x.refused > 0 && x.rays > 0);
+        assert_true(s.size < acc->bytes / 4); /* a sparse table is far smaller than its memory */
+        /* and it goes on as the first would have, with the same bytes */
+        lmg_accumulator *more = varied(channels, 20000, 5000);
+        assert_int_equal(lmg_accumulator_merge(acc, more, NULL), LMG_OK);
+        assert_int_equal(lmg_accumulator_merge(back, more, NULL), LMG_OK);
+        saved a = save(acc), b = save(back);
+        assert_int_equal(a.size, b.size);
+        assert_memory_equal(a.bytes, b.bytes, a.size);
+        assert_int_equal(lmg_accumulator_save(acc, refuse_bytes, NULL, &err), LMG_ERROR_FILE_WRITE);
+        lmg_accumulator_destroy(acc);
+        lmg_accumulator_destroy(back);
+        lmg_accumulator_destroy(more);
+        free(s.bytes), free(a.bytes), free(b.bytes);
+    }
+}
+
+/* Cut anywhere they are refused; with a byte changed they are refused or something possible, never a crash or a wild read. */
+static void damaged_counts_are_refused(void **state)
+{
+    (void)state;
+    lmg_accumulator *acc = varied(3, 0, 300), *back;
+    saved s = save(acc);
+    for (size_t n = 0; n < s.size; n += n < 2000 ? 1 : 37) {
+        unsigned char *cut = malloc(n ? n : 1); /* its own block, so that reading past its end shows */
+        memcpy(cut, s.bytes, n);
+        lmg_error err;
+        assert_int_equal(lmg_accumulator_load(cut, n, &back, &err), LMG_ERROR_FILE_FORMAT);
+        assert_null(back);
+        free(cut);
+    }
+    size_t refused = 0, tried = 0;
+    for (size_t i = 0; i < s.size; i += i < 3000 ? 7 : 61)
+        for (int bit = 0; bit < 8; bit += 7, tried++) {
+            s.bytes[i] ^= (unsigned char)(1 << bit);
+            if (lmg_accumulator_load(s.bytes, s.size, &back, NULL) != LMG_OK) {
+                refused++;
+                assert_null(back);
+            }
+            lmg_accumulator_destroy(back);
+            s.bytes[i] ^= (unsigned char)(1 << bit);
+        }
+    assert_true(refused > tried / 10);
+    /* trailing bytes */
+    s.bytes = realloc(s.bytes, s.size + 1);
+    s.bytes[s.size] = 0;
+    assert_int_equal(lmg_accumulator_load(s.bytes, s.size + 1, &back, NULL), LMG_ERROR_FILE_FORMAT);
+    lmg_accumulator_destroy(acc);
+    free(s.bytes);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -464,6 +586,8 @@ int main(void)
         cmocka_unit_test(ledger_and_texts),
         cmocka_unit_test(bad_wishes_are_refused),
         cmocka_unit_test(one_colour_needs_one_channel),
+        cmocka_unit_test(saved_counts_come_back),
+        cmocka_unit_test(damaged_counts_are_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -196,6 +196,21 @@ typedef struct lmg_deposit_totals {
 } lmg_deposit_totals;
 LMG_API lmg_deposit_totals lmg_accumulator_totals(const lmg_accumulator *acc);
 
+/* The layout it was made with; belongs to it. */
+LMG_API const lmg_layout *lmg_accumulator_layout(const lmg_accumulator *acc);
+
+/* Takes bytes in order; false when it can't, which ends the saving. */
+typedef bool (*lmg_write_bytes)(void *self, const void *bytes, size_t count);
+
+/* An accumulator as bytes, with its layout: what a checkpoint keeps, and what machines send each other.  Nobody may deposit meanwhile.
+ * Errors: LMG_ERROR_FILE_WRITE when write says false. */
+LMG_API lmg_result lmg_accumulator_save(const lmg_accumulator *acc, lmg_write_bytes write, void *self, lmg_error *err);
+
+/* The accumulator that lmg_accumulator_save wrote, equal to the bit.  The bytes are untrusted: everything is checked before it is
+ * believed, but bytes that were altered into something possible can't be told: keep a hash beside them.
+ * Errors: LMG_ERROR_FILE_FORMAT, LMG_ERROR_MEMORY. */
+LMG_API lmg_result lmg_accumulator_load(const void *bytes, size_t size, lmg_accumulator **out, lmg_error *err);
+
 /* --------------------------------------------------------------------------------------------------------------- field */
 
 typedef struct lmg_field lmg_field;
