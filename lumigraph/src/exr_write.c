@@ -8,7 +8,7 @@
 #include "box_hash.h"
 #include "exr_attributes.h"
 #include "file_message.h"
-#include "io_exr.h"
+#include "exr_write.h"
 #include "work.h"
 
 #include <errno.h>

@@ -4,7 +4,7 @@
  * file, without compression and by levels of zip.  Prints a table; fails only when something can't be written or read.
  */
 #include "../unit/box_fixture.h"
-#include "io_exr.h"
+#include "exr_write.h"
 
 #include <stdarg.h>
 #include <stddef.h>

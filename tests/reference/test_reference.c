@@ -7,7 +7,7 @@
 #include "../unit/box_fixture.h"
 #include "box_reader.h"
 #include "field.h"
-#include "io_exr.h"
+#include "exr_write.h"
 
 #include <setjmp.h>
 #include <stdarg.h>

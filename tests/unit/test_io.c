@@ -7,7 +7,7 @@
 #include "box_fixture.h"
 #include "exr_check.h"
 #include "field.h"
-#include "io_exr.h"
+#include "exr_write.h"
 
 #include <setjmp.h>
 #include <stdarg.h>

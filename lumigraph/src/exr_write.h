@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* What tests and benchmarks of the library ask of exr_write.c beyond lumigraph.h. */
-#ifndef LUMIGRAPH_IO_EXR_H
-#define LUMIGRAPH_IO_EXR_H
+#ifndef LUMIGRAPH_EXR_WRITE_H
+#define LUMIGRAPH_EXR_WRITE_H
 
 #include <lumigraph/lumigraph.h>
 

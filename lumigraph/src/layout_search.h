@@ -1,0 +1,31 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The search for one direction's slabs, for layout.c. */
+#ifndef LUMIGRAPH_LAYOUT_SEARCH_H
+#define LUMIGRAPH_LAYOUT_SEARCH_H
+
+#include "blur.h"
+
+/* What the search decides for one direction. */
+typedef struct lmg_choice {
+    lmg_slab_kind kind;
+    int class;
+    double distance;
+    double depth;          /* of the (u,v) plane along n, metres in the luminaire frame */
+    double rect[4];        /* u0 u1 v0 v1 about the frame's origin */
+    bool window;
+    double st[4];          /* window's s0 s1 t0 t1, before alignment */
+    double share;          /* of the cells, for the window */
+    double bias, window_bias; /* cells of (u,v) over cells of (s,t), as a factor on each side of the square root */
+    double cells;
+    double flux;           /* in the rectangle, in units of the pilot */
+    double spread;         /* area of the rectangle that the light would need, were it not kept within the bounds */
+    const uint32_t *fixed; /* resolution asked for; NULL or zeros: chosen */
+} lmg_choice;
+
+/* The slabs of a choice: the window, if any, before the main slab.  Returns their number. */
+uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out[2]);
+
+/* Everything about one direction. */
+lmg_verdict lmg_choice_search(const lmg_pilot *pl, lmg_planes *p, lmg_choice *c);
+
+#endif
