@@ -6,6 +6,7 @@
 #include "bake.h"
 
 #include "effects.h"
+#include "part.h"
 #include "receiver.h"
 
 #include <luminaires/model.h>
@@ -25,7 +26,7 @@ static const double PILOT_SHARE = 0.05;
 /* Rounds last about this long: often enough for progress and Ctrl-C, seldom enough that starting threads costs nothing. */
 static const double ROUND_SECONDS = 0.5;
 static const uint64_t ROUND_MIN = 8192;
-static const double DEFAULT_SECONDS = 60;
+static const double DEFAULT_SECONDS = 60, DEFAULT_CHECKPOINT_SECONDS = 60;
 /* Receiver that the noise is told on. */
 static const uint32_t NOISE_PIXELS = 32;
 
@@ -123,9 +124,9 @@ typedef struct bake {
     const lum_model *model;
     const bake_options *options;
     bake_source *tracer;
-    bake_ray_list *pilot;
-    lmg_accumulator *accumulator;
-    double pilot_noise; /* relative, with the pilot's photons */
+    bake_ray_list *pilot; /* NULL when resumed */
+    bake_part *part;
+    bake_part *resume; /* what part is to become; NULL when it has */
     bake_report *report;
 } bake;
 
@@ -140,7 +141,7 @@ static lmg_result run_pilot(bake *b, double seconds, lmg_error *err)
     const bake_options *o = b->options;
     uint64_t wanted = o->pilot_photons;
     if (wanted == 0 && o->photons > 0) {
-        wanted = (uint64_t)(PILOT_SHARE * (double)o->photons);
+        wanted = (uint64_t)(PILOT_SHARE * (double)(o->whole > 0 ? o->whole : o->photons));
         wanted = wanted < PILOT_MIN ? PILOT_MIN : wanted > PILOT_MAX ? PILOT_MAX : wanted;
     }
     const double began = bake_clock();
@@ -157,7 +158,7 @@ static lmg_result run_pilot(bake *b, double seconds, lmg_error *err)
     if (result == LMG_OK && wanted > tally.photons)
         result =
             b->tracer->run(b->tracer, BAKE_PILOT_FIRST + tally.photons, wanted - tally.photons, o->threads, &sink, 1, &tally, err);
-    b->report->pilot_photons = tally.photons;
+    b->part->pilot_photons = tally.photons;
     if (result != LMG_OK)
         return result;
 
@@ -184,80 +185,84 @@ static lmg_result measure_noise(bake *b, const lmg_layout *layout, lmg_error *er
         return result;
     const lmg_sink sink = bake_receiver_sink(plane);
     sink.consume(sink.self, rays, count);
-    b->pilot_noise = bake_receiver_noise(plane);
+    b->part->pilot_noise = bake_receiver_noise(plane);
     bake_receiver_destroy(plane);
     return LMG_OK;
 }
 
-static double noise_after(const bake *b, uint64_t photons)
+/* Numbers of the photons to trace: first .. end-1. */
+static uint64_t end_of(const bake_options *o)
 {
-    return b->pilot_noise * sqrt((double)b->report->pilot_photons / (double)photons);
+    return o->photons ? o->first + o->photons : BAKE_PILOT_FIRST;
 }
 
-/* Rounds until the photons are traced, the time is up or somebody says stop. */
-static lmg_result trace(bake *b, double seconds, double pilot_began, lmg_error *err)
+static void tell_progress(const bake *b, double seconds_left)
 {
     const bake_options *o = b->options;
-    bake_tally *tally = &b->report->tally;
-    const lmg_sink sink = lmg_accumulator_sink(b->accumulator);
-    const double began = bake_clock();
-    const double deadline = o->photons ? (double)INFINITY : pilot_began + seconds;
-    double rate = (double)b->report->pilot_photons / fmax(b->report->pilot_seconds, 1e-6);
-    for (;;) {
+    const bake_part *part = b->part;
+    if (!o->progress)
+        return;
+    const double average = (double)part->tally.photons / fmax(part->seconds, 1e-6);
+    const bake_progress p = {
+        .photons = part->tally.photons,
+        .seconds = part->seconds,
+        .rate = average,
+        .accounted = (part->tally.escaped + part->tally.absorbed) / part->tally.emitted,
+        .noise = bake_part_noise(part),
+        .seconds_left = o->photons ? (double)(o->photons - part->tally.photons) / average : fmax(seconds_left, 0),
+    };
+    o->progress(o->progress_self, &p);
+}
+
+static lmg_result write_checkpoint(bake *b, lmg_error *err)
+{
+    const lmg_result result = bake_part_write(b->part, b->options->checkpoint, err);
+    b->report->checkpointed |= result == LMG_OK;
+    return result;
+}
+
+/* Rounds until the photons are traced, the time is up (deadline, by bake_clock) or somebody says stop. */
+static lmg_result trace(bake *b, double deadline, lmg_error *err)
+{
+    const bake_options *o = b->options;
+    bake_part *part = b->part;
+    const lmg_sink sink = lmg_accumulator_sink(part->accumulator);
+    const double began = bake_clock(), before = part->seconds;
+    const double between = o->checkpoint_seconds > 0 ? o->checkpoint_seconds : DEFAULT_CHECKPOINT_SECONDS;
+    double checkpoint_due = o->checkpoint ? began + between : (double)INFINITY;
+    double rate = b->report->resumed ? (double)part->tally.photons / fmax(before, 1e-6)
+                                     : (double)part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6);
+    uint64_t first, round;
+    while (bake_part_gap(part, o->first, end_of(o), &first, &round)) {
         const double now = bake_clock();
-        const double left = deadline - now;
-        double want = rate * fmin(ROUND_SECONDS, left);
-        uint64_t round = want < (double)ROUND_MIN ? ROUND_MIN : (uint64_t)want;
-        if (o->photons && round > o->photons - tally->photons)
-            round = o->photons - tally->photons;
-        const lmg_result result = b->tracer->run(b->tracer, tally->photons, round, o->threads, &sink, 1, tally, err);
+        if (b->report->resumed && now >= deadline)
+            break;
+        const double want = rate * fmin(ROUND_SECONDS, deadline - now);
+        const uint64_t most = want < (double)ROUND_MIN ? ROUND_MIN : (uint64_t)want;
+        round = round < most ? round : most;
+        lmg_result result = b->tracer->run(b->tracer, first, round, o->threads, &sink, 1, &part->tally, err);
+        if (result == LMG_OK)
+            result = bake_part_add_range(part, first, round, err);
+        const double after = bake_clock();
+        part->seconds = before + after - began;
+        rate = (double)round / fmax(after - now, 1e-6);
+        tell_progress(b, deadline - after);
+        if (result == LMG_OK && after >= checkpoint_due) {
+            result = write_checkpoint(b, err);
+            checkpoint_due = bake_clock() + between;
+        }
         if (result != LMG_OK)
             return result;
-        const double after = bake_clock();
-        rate = (double)round / fmax(after - now, 1e-6);
-        if (o->progress) {
-            const double average = (double)tally->photons / fmax(after - began, 1e-6);
-            const bake_progress p = {
-                .photons = tally->photons,
-                .seconds = after - began,
-                .rate = average,
-                .accounted = (tally->escaped + tally->absorbed) / tally->emitted,
-                .noise = noise_after(b, tally->photons),
-                .seconds_left = o->photons ? (double)(o->photons - tally->photons) / average : fmax(deadline - after, 0),
-            };
-            o->progress(o->progress_self, &p);
-        }
-        if (o->photons ? tally->photons >= o->photons : after >= deadline)
+        if (after >= deadline)
             break;
         if (stopped(b)) {
-            b->report->interrupted = true;
+            b->report->interrupted = bake_part_gap(part, o->first, end_of(o), &first, &round);
             break;
         }
     }
-    b->report->trace_seconds = bake_clock() - began;
-    b->report->noise = noise_after(b, tally->photons);
+    if (o->checkpoint && (o->keep || b->report->interrupted || b->report->checkpointed))
+        return write_checkpoint(b, err);
     return LMG_OK;
-}
-
-/* The balance in lumens.  Shares of N photons have binomial standard errors; what was emitted is known. */
-static lmg_ledger balance(const bake *b)
-{
-    const bake_tally *t = &b->report->tally;
-    const lmg_deposit_totals d = lmg_accumulator_totals(b->accumulator);
-    const double n = (double)t->photons, lm = b->report->lumens_per_photon, all = n * lm;
-    const double lost = t->lost + (double)d.refused;
-    return (lmg_ledger){
-        .photons = t->photons,
-        .emitted = all,
-        .stored = d.stored * lm,
-        .residual = d.residual * lm,
-        .absorbed = t->absorbed * lm,
-        .lost = lost * lm,
-        .stored_se = all * bake_share_error(d.stored, n),
-        .residual_se = all * bake_share_error(d.residual, n),
-        .absorbed_se = all * bake_share_error(t->absorbed, n),
-        .lost_se = all * bake_share_error(lost, n),
-    };
 }
 
 static const char *file_name(const char *path)
@@ -286,40 +291,92 @@ static char *join_warnings(const lum_model *model)
     return text;
 }
 
-/* Says in the field where it comes from; nothing that depends on the machine, the threads or the date, so that files can be
- * compared. */
-static lmg_result add_texts(const bake *b, lmg_field *field, lmg_error *err)
+/* Says whose photons the part is to have, as far as it is known before the pilot. */
+static lmg_result identify(const bake *b, bake_part *part, lmg_error *err)
 {
-    char hash[17], seed[24], photons[24], pilot[24], effects[512];
+    char hash[17], seed[24], effects[512];
     snprintf(hash, sizeof(hash), "%016" PRIx64, b->model->hash);
     snprintf(seed, sizeof(seed), "%" PRIu64, b->options->seed);
-    snprintf(photons, sizeof(photons), "%" PRIu64, b->report->tally.photons);
-    snprintf(pilot, sizeof(pilot), "%" PRIu64, b->report->pilot_photons);
     bake_effects_print(b->report->effects, effects, sizeof(effects));
     char *warnings = join_warnings(b->model);
     if (!warnings)
         return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the warnings");
     const struct {
-        const char *name, *value;
+        bake_part_text which;
+        const char *text;
     } texts[] = {
-        {"software", "lumibake " LMG_VERSION_STRING},
-        {"model", file_name(b->model->path)},
-        {"model_hash", hash},
-        {"recipe", b->options->recipe},
-        {"settings", b->options->settings},
-        {"seed", seed},
-        {"photons", photons},
-        {"pilot_photons", pilot},
-        {"effects", effects},
-        {"layout_why", b->report->layout_why},
-        {"warnings", warnings[0] ? warnings : NULL},
+        {PART_SOFTWARE, "lumibake " LMG_VERSION_STRING},
+        {PART_MODEL, file_name(b->model->path)},
+        {PART_MODEL_HASH, hash},
+        {PART_RECIPE, b->options->recipe},
+        {PART_SETTINGS, b->options->settings},
+        {PART_SEED, seed},
+        {PART_EFFECTS, effects},
+        {PART_WARNINGS, warnings[0] ? warnings : NULL},
     };
     lmg_result result = LMG_OK;
     for (size_t i = 0; result == LMG_OK && i < sizeof(texts) / sizeof(texts[0]); ++i)
-        if (texts[i].value)
-            result = lmg_field_set_text(field, texts[i].name, texts[i].value, err);
+        result = bake_part_set_text(part, texts[i].which, texts[i].text, err);
     free(warnings);
+    part->source_flux = b->tracer->flux;
+    part->flux_lm = b->options->flux_lm;
+    part->output_flux_lm = b->options->output_flux_lm;
     return result;
+}
+
+/* Pilot and layout of a bake that starts. */
+static lmg_result begin_part(bake *b, double seconds, lmg_error *err)
+{
+    const double began = bake_clock();
+    lmg_result result = run_pilot(b, seconds, err);
+    if (result != LMG_OK)
+        return result;
+    b->report->pilot_seconds = bake_clock() - began;
+
+    lmg_fit_options fit = b->options->fit;
+    fit.struct_size = sizeof(fit);
+    fit.bounds_min = b->tracer->bounds_min;
+    fit.bounds_max = b->tracer->bounds_max;
+    size_t count;
+    const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
+    lmg_layout layout;
+    char why[1024], pilot[24];
+    snprintf(pilot, sizeof(pilot), "%" PRIu64, b->part->pilot_photons);
+    result = lmg_layout_fit(rays, count, &fit, &layout, why, err);
+    if (result == LMG_OK)
+        result = measure_noise(b, &layout, err);
+    if (result == LMG_OK)
+        result = bake_part_set_text(b->part, PART_PILOT_PHOTONS, pilot, err);
+    if (result == LMG_OK)
+        result = bake_part_set_text(b->part, PART_LAYOUT_WHY, why, err);
+    if (result == LMG_OK)
+        result = lmg_accumulator_create(&layout, &b->part->accumulator, err);
+    return result;
+}
+
+/* Takes over what is to be resumed, if it belongs to this bake. */
+static lmg_result resume_part(bake *b, lmg_error *err)
+{
+    const bake_options *o = b->options;
+    bake_part *old = b->resume, *self = b->part; /* self: identified, still empty */
+    const char *name = o->checkpoint ? o->checkpoint : "the part to be resumed";
+    lmg_result result = o->pilot_photons == 0 || o->pilot_photons == old->pilot_photons
+                            ? bake_part_set_text(self, PART_PILOT_PHOTONS, old->texts[PART_PILOT_PHOTONS], err)
+                            : lmg_fail(err, LMG_ERROR_INPUT, "%.200s: was begun with a pilot of %" PRIu64 " photons; leave --pilot out", name,
+                                       old->pilot_photons);
+    if (result == LMG_OK)
+        result = bake_part_same_bake(old, name, self, "this bake", err);
+    for (size_t i = 0; result == LMG_OK && i < old->range_count; ++i)
+        if (old->ranges[i].first < o->first || old->ranges[i].first + old->ranges[i].count > end_of(o))
+            result = lmg_fail(err, LMG_ERROR_INPUT, "%.200s: has photons that this bake isn't to have (%" PRIu64 " to %" PRIu64 "); ask for more",
+                              name, old->ranges[i].first, old->ranges[i].first + old->ranges[i].count - 1);
+    if (result != LMG_OK)
+        return result;
+    bake_part_destroy(self);
+    b->part = old;
+    b->resume = NULL;
+    b->report->resumed = old->tally.photons > 0;
+    return LMG_OK;
 }
 
 static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
@@ -332,42 +389,29 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     if (result != LMG_OK)
         return result;
 
+    result = bake_part_create(&b->part, err);
+    if (result == LMG_OK)
+        result = identify(b, b->part, err);
     const double began = bake_clock();
-    result = run_pilot(b, seconds, err);
-    if (result != LMG_OK)
-        return result;
-    r->pilot_seconds = bake_clock() - began;
-
-    lmg_fit_options fit = o->fit;
-    fit.struct_size = sizeof(fit);
-    fit.bounds_min = b->tracer->bounds_min;
-    fit.bounds_max = b->tracer->bounds_max;
-    size_t count;
-    const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
-    lmg_layout layout;
-    result = lmg_layout_fit(rays, count, &fit, &layout, r->layout_why, err);
     if (result == LMG_OK)
-        result = measure_noise(b, &layout, err);
+        result = b->resume ? resume_part(b, err) : begin_part(b, seconds, err);
     if (result == LMG_OK)
-        result = lmg_accumulator_create(&layout, &b->accumulator, err);
-    if (result == LMG_OK)
-        result = trace(b, seconds, began, err);
+        result = trace(b, o->photons ? (double)INFINITY : began + seconds - b->part->seconds, err);
     if (result != LMG_OK)
         return result;
 
-    const double flux = o->flux_lm > 0          ? o->flux_lm
-                        : o->output_flux_lm > 0 ? o->output_flux_lm * r->tally.emitted / r->tally.escaped
-                                                : b->tracer->flux;
-    if (!isfinite(flux))
-        return lmg_fail(err, LMG_ERROR_INPUT, "%s: no light leaves the luminaire", b->model->path);
-    r->flux_lm = flux;
-    r->lumens_per_photon = flux / (double)r->tally.photons;
-    r->refused = lmg_accumulator_totals(b->accumulator).refused;
-    const lmg_ledger ledger = balance(b);
+    const bake_part *part = b->part;
+    r->tally = part->tally;
+    r->pilot_photons = part->pilot_photons;
+    r->trace_seconds = part->seconds;
+    r->noise = bake_part_noise(part);
+    snprintf(r->layout_why, sizeof(r->layout_why), "%s", part->texts[PART_LAYOUT_WHY]);
+    r->refused = lmg_accumulator_totals(part->accumulator).refused;
     const double reconstruct_began = bake_clock();
-    result = lmg_field_reconstruct(b->accumulator, r->lumens_per_photon, &ledger, out, err);
+    result = bake_part_flux(part, &r->flux_lm, err);
+    r->lumens_per_photon = r->flux_lm / (double)part->tally.photons;
     if (result == LMG_OK)
-        result = add_texts(b, *out, err);
+        result = bake_part_field(part, out, err);
     r->reconstruct_seconds = bake_clock() - reconstruct_began;
     return result;
 }
@@ -377,13 +421,14 @@ lmg_result bake_run(const struct lum_model *model, const bake_options *options, 
 {
     *out = NULL;
     memset(report, 0, sizeof(*report));
-    bake b = {.model = model, .options = options, .report = report};
+    bake b = {.model = model, .options = options, .resume = options->resume, .report = report};
     const lmg_result result = bake_all(&b, out, err);
     if (result != LMG_OK) {
         lmg_field_destroy(*out);
         *out = NULL;
     }
-    lmg_accumulator_destroy(b.accumulator);
+    bake_part_destroy(b.part);
+    bake_part_destroy(b.resume);
     bake_ray_list_destroy(b.pilot);
     if (b.tracer)
         b.tracer->destroy(b.tracer);

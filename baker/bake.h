@@ -11,6 +11,7 @@
 #include <signal.h>
 
 struct lum_model;
+struct bake_part;
 
 /* What a running bake knows about itself. */
 typedef struct bake_progress {
@@ -24,6 +25,8 @@ typedef struct bake_progress {
 
 typedef struct bake_options {
     uint64_t photons;       /* 0 = by time */
+    uint64_t first;         /* number of the first photon, below BAKE_PILOT_FIRST - photons */
+    uint64_t whole;         /* photons of the bake that these are a part of, for the size of the pilot; 0 = photons */
     double seconds;         /* of pilot and tracing, when photons is 0; 0 = 60 */
     uint64_t pilot_photons; /* 0 = a twentieth of the bake, within 20,000 and 400,000 */
     uint64_t seed;
@@ -36,6 +39,10 @@ typedef struct bake_options {
     const volatile sig_atomic_t *stop; /* when it becomes non-zero, the bake ends with the round at hand */
     void (*progress)(void *self, const bake_progress *progress); /* after every round, on the calling thread */
     void *progress_self;
+    const char *checkpoint;    /* the part's file (part.h), written while the bake runs; NULL = none */
+    double checkpoint_seconds; /* between two of them; 0 = 60 */
+    bool keep;                 /* write it at the end too, whatever the bake's length */
+    struct bake_part *resume;  /* go on from here: photons that it has aren't traced again; taken over.  NULL = from the start */
 } bake_options;
 
 typedef struct bake_report {
@@ -49,9 +56,12 @@ typedef struct bake_report {
     uint32_t effects; /* bake_effects_of */
     char layout_why[1024];
     bool interrupted;
+    bool resumed;      /* photons of an earlier run are among these */
+    bool checkpointed; /* the checkpoint's file holds all of them, or those up to the last minute */
 } bake_report;
 
-/* Bakes.  The field is the caller's.  Errors: LMG_ERROR_INPUT when the model emits nothing or no light leaves it. */
+/* Bakes.  The field is the caller's.  Errors: LMG_ERROR_INPUT when the model emits nothing or no light leaves it, or when what is to be
+ * resumed is of another bake; LMG_ERROR_FILE_* when the checkpoint can't be written. */
 lmg_result bake_run(const struct lum_model *model, const bake_options *options, lmg_field **out, bake_report *report,
                     lmg_error *err);
 

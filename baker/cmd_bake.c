@@ -4,6 +4,7 @@
 
 #include "bake.h"
 #include "effects.h"
+#include "part.h"
 
 #include <luminaires/model.h>
 
@@ -30,6 +31,11 @@ enum {
     KEY_CELLS,
     KEY_RESOLUTION,
     KEY_PILOT,
+    KEY_RESUME,
+    KEY_CHECKPOINT,
+    KEY_KEEP,
+    KEY_SHARE,
+    KEY_FIRST,
     KEY_PROGRESS,
     KEY_JSON
 };
@@ -49,21 +55,30 @@ static const struct argp_option OPTIONS[] = {
     {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
-    {"quiet", 'q', 0, 0, "no progress, no warnings, no summary", 6},
-    {"progress", KEY_PROGRESS, 0, 0, "progress lines even when stderr is no terminal", 6},
-    {"json", KEY_JSON, 0, 0, "summary as JSON", 6},
+    {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},
+    {"checkpoint", KEY_CHECKPOINT, "TIME", 0, "write one so often, at most 60s apart (the default)", 6},
+    {"keep", KEY_KEEP, 0, 0, "keep BOX.part at the end, for more photons or merge", 6},
+    {"share", KEY_SHARE, "K/N", 0, "trace the K-th of N shares of --photons; implies --keep", 6},
+    {"first", KEY_FIRST, "N", 0, "trace photons from number N on; needs --pilot, implies --keep", 6},
+    {"quiet", 'q', 0, 0, "no progress, no warnings, no summary", 7},
+    {"progress", KEY_PROGRESS, 0, 0, "progress lines even when stderr is no terminal", 7},
+    {"json", KEY_JSON, 0, 0, "summary as JSON", 7},
     {0},
 };
 
 static const char DOC[] =
     "Traces the light of a luminaire (.gltf, .glb) photon by photon and writes what leaves it as a box of light."
-    "\vCtrl-C ends a bake early with a valid box (exit code 130), a second one quits without.\n"
+    "\vCtrl-C ends a bake early with a valid box (exit code 130) and a checkpoint that --resume goes on from; a second one quits without.\n"
     "Example:\n  lumibake bake lamp.gltf -o lamp.box.exr --flux 800lm --time 2m";
 
 typedef struct command {
     lamp_options lamp;
     const char *output;
     bake_options bake;
+    bool resume;
+    uint64_t share, shares; /* of --photons: the share-th of shares; 0 = all */
+    bool given_first;
+    char part[1100]; /* the checkpoint's file */
     bool quiet, progress, json;
     /* progress on a terminal */
     bool terminal;
@@ -83,6 +98,37 @@ static void parse_resolution(struct argp_state *state, const char *text, uint32_
     }
 }
 
+static void parse_share(struct argp_state *state, const char *text, command *c)
+{
+    /* 2^52 photons times 1024 fit 64 bits */
+    unsigned long k, n;
+    char extra;
+    if (sscanf(text, "%lu/%lu%c", &k, &n, &extra) != 2 || strchr(text, '-') || k < 1 || k > n || n > 1024)
+        usage_error(state, "--share: '%s' is not a share such as 2/7, of 1024 at most", text);
+    c->share = k;
+    c->shares = n;
+}
+
+/* Which photons, once all options are known. */
+static void settle_photons(struct argp_state *state, command *c)
+{
+    bake_options *o = &c->bake;
+    if (c->given_first && c->shares)
+        usage_error(state, "--first and --share exclude each other");
+    if (c->given_first && !o->pilot_photons)
+        usage_error(state, "--first needs --pilot, the same for all parts of a bake, so that they have one layout; such as --pilot 1e5");
+    if (c->shares) {
+        if (!o->photons)
+            usage_error(state, "--share needs --photons, those of the whole bake");
+        o->whole = o->photons;
+        o->first = o->whole * (c->share - 1) / c->shares;
+        o->photons = o->whole * c->share / c->shares - o->first;
+        if (o->photons == 0)
+            usage_error(state, "--share: too many shares for %" PRIu64 " photons", o->whole);
+    }
+    o->keep |= c->shares || c->given_first;
+}
+
 static error_t parse(int key, char *arg, struct argp_state *state)
 {
     command *c = state->input;
@@ -94,7 +140,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         c->bake.seconds = argument_seconds(state, "--time", arg);
         break;
     case KEY_PHOTONS:
-        c->bake.photons = argument_count(state, "--photons", arg, 1, UINT64_C(1) << 52);
+        c->bake.photons = argument_count(state, "--photons", arg, 0, UINT64_C(1) << 52);
+        if (c->bake.photons == 0)
+            usage_error(state, "--photons: no photons, no light; give at least 1, or --time");
         break;
     case KEY_FLUX:
         c->bake.flux_lm = argument_lumens(state, "--flux", arg);
@@ -138,6 +186,24 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case KEY_THREADS:
         c->bake.threads = (unsigned)argument_count(state, "--threads", arg, 1, 1024);
         break;
+    case KEY_RESUME:
+        c->resume = true;
+        break;
+    case KEY_CHECKPOINT:
+        c->bake.checkpoint_seconds = argument_seconds(state, "--checkpoint", arg);
+        if (c->bake.checkpoint_seconds > 60)
+            usage_error(state, "--checkpoint: %s is more than a minute", arg);
+        break;
+    case KEY_KEEP:
+        c->bake.keep = true;
+        break;
+    case KEY_SHARE:
+        parse_share(state, arg, c);
+        break;
+    case KEY_FIRST:
+        c->bake.first = argument_count(state, "--first", arg, 0, UINT64_C(1) << 61);
+        c->given_first = true;
+        break;
     case 'q':
         c->quiet = true;
         break;
@@ -163,6 +229,7 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             usage_error(state, "--flux and --output-flux exclude each other");
         if (c->lamp.recipe_path && c->lamp.no_recipe)
             usage_error(state, "--recipe and --no-recipe exclude each other");
+        settle_photons(state, c);
         break;
     default:
         return ARGP_ERR_UNKNOWN;
@@ -261,13 +328,10 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                                   r->reconstruct_seconds, "total", seconds));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "interrupted", json_boolean(r->interrupted));
+    json_object_set_new(o, "resumed", json_boolean(r->resumed));
+    json_object_set_new(o, "part", r->interrupted || c->bake.keep ? json_string(c->part) : json_null());
     json_object_set_new(o, "warnings", warnings);
     return o;
-}
-
-static void print_share(const char *name, double lumens, double error, double emitted)
-{
-    printf("  %-9s %12.6g lm  +- %-9.2g %9.4f %%\n", name, lumens, error, 100 * lumens / emitted);
 }
 
 static void print_summary(const command *c, const lmg_field *field, const bake_report *r, double seconds, uint64_t bytes)
@@ -282,11 +346,7 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     printf("  effects   %s\n", effects);
     printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n",
            l.photons, r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
-    printf("  emitted   %12.6g lm\n", l.emitted);
-    print_share("stored", l.stored, l.stored_se, l.emitted);
-    print_share("residual", l.residual, l.residual_se, l.emitted);
-    print_share("absorbed", l.absorbed, l.absorbed_se, l.emitted);
-    print_share("lost", l.lost, l.lost_se, l.emitted);
+    print_ledger(&l);
     printf("  efficiency %.4f %% +- %.2g %%\n", 100 * share, 100 * bake_share_error(share * n, n));
     uint64_t cells = 0;
     for (uint32_t i = 0; i < y->slab_count; ++i)
@@ -341,6 +401,9 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
         return report_failure(&err);
     }
 
+    /* The box is there: a checkpoint, of this bake or of one that it replaces, has done its duty. */
+    if (!report.interrupted && !c->bake.keep)
+        unlink(c->part);
     struct stat status = {0};
     const uint64_t bytes = stat(c->output, &status) == 0 ? (uint64_t)status.st_size : 0;
     const double seconds = bake_clock() - began;
@@ -348,7 +411,8 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
     if (!c->quiet) {
         print_remarks(&report);
         if (report.interrupted)
-            fprintf(stderr, "interrupted: the box holds the %" PRIu64 " photons traced so far\n", report.tally.photons);
+            fprintf(stderr, "interrupted: the box holds the %" PRIu64 " photons traced so far; --resume goes on from %s\n",
+                    report.tally.photons, c->part);
     }
     bool printed = true;
     if (c->json) {
@@ -365,22 +429,16 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
     return code;
 }
 
-/* Whether the output can be written, asked before a minute is spent on tracing. */
-static lmg_result check_output(const command *c, lmg_error *err)
+/* Reads the checkpoint to go on from, or says that there is none, or that there is one nobody asked for. */
+static lmg_result find_checkpoint(command *c, lmg_error *err)
 {
-    struct stat lamp, output;
-    if (stat(c->output, &output) == 0) {
-        if (S_ISDIR(output.st_mode))
-            return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: is a directory; give the name of a file", c->output);
-        if (stat(c->lamp.path, &lamp) == 0 && lamp.st_dev == output.st_dev && lamp.st_ino == output.st_ino)
-            return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: the box would overwrite the lamp", c->output);
-    }
-    const char *slash = strrchr(c->output, '/');
-    char folder[1024] = ".";
-    if (slash && snprintf(folder, sizeof(folder), "%.*s", (int)(slash - c->output) + 1, c->output) >= (int)sizeof(folder))
-        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "the name of the output is too long");
-    if (access(folder, W_OK) != 0)
-        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: can't write in %s: %s", c->output, folder, strerror(errno));
+    const bool there = access(c->part, F_OK) == 0;
+    if (c->resume && there)
+        return bake_part_read(c->part, &c->bake.resume, err);
+    if (!c->quiet && c->resume)
+        fprintf(stderr, "no checkpoint %s: the bake starts at the beginning\n", c->part);
+    if (!c->quiet && !c->resume && there)
+        fprintf(stderr, "warning: %s of an earlier bake will be replaced; --resume would go on from it\n", c->part);
     return LMG_OK;
 }
 
@@ -394,11 +452,21 @@ int cmd_bake(int argc, char **argv)
     lmg_error err = {{0}};
     lum_model *model = NULL;
     char *recipe_text = NULL, recipe[1024];
-    if (check_output(&c, &err) != LMG_OK)
+    if (check_output(c.output, &c.lamp.path, 1, &err) != LMG_OK)
         return report_failure(&err);
-    const lmg_result result = lamp_load(&c.lamp, &model, &recipe_text, recipe, &err);
-    if (result != LMG_OK)
+    if (snprintf(c.part, sizeof(c.part), "%s.part", c.output) >= (int)sizeof(c.part)) {
+        lmg_fail(&err, LMG_ERROR_FILE_OPEN, "the name of the output is too long");
+        return report_failure(&err);
+    }
+    c.bake.checkpoint = c.part;
+    lmg_result result = lamp_load(&c.lamp, &model, &recipe_text, recipe, &err);
+    if (result == LMG_OK)
+        result = find_checkpoint(&c, &err);
+    if (result != LMG_OK) {
+        free(recipe_text);
+        lum_model_destroy(model);
         return report_error(result, &err);
+    }
     if (!c.quiet) {
         if (recipe[0] && !c.lamp.recipe_path)
             fprintf(stderr, "using the recipe %s\n", recipe);

@@ -15,6 +15,7 @@ static const struct {
     {"bake", "trace a luminaire's light (glTF) into a box of light (.box.exr)", cmd_bake},
     {"info", "say what is in a box: layout, planes, flux, provenance", cmd_info},
     {"probe", "measure in a box's light: illuminance, luminance, intensity", cmd_probe},
+    {"merge", "parts of one bake, from several runs or machines, into its box", cmd_merge},
     {"compare", "two lamps or boxes on the same receivers: how much they differ", cmd_compare},
 };
 enum { COMMAND_COUNT = sizeof(COMMANDS) / sizeof(COMMANDS[0]) };

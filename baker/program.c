@@ -10,6 +10,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 /* One line, whatever the message holds. */
@@ -108,6 +109,41 @@ double argument_lumens(const struct argp_state *state, const char *option, const
     if (end == text || (strcmp(end, "") && strcmp(end, "lm")) || !(value > 0) || !(value <= 1e12))
         usage_error(state, "%s: '%s' is not a luminous flux such as 800lm", option, text);
     return value;
+}
+
+/* ------------------------------------------------------------------------------------------------------------- output */
+
+lmg_result check_output(const char *output, const char *const *inputs, size_t count, lmg_error *err)
+{
+    struct stat in, out;
+    if (stat(output, &out) == 0) {
+        if (S_ISDIR(out.st_mode))
+            return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%.300s: is a directory; give the name of a file", output);
+        for (size_t i = 0; i < count; ++i)
+            if (stat(inputs[i], &in) == 0 && in.st_dev == out.st_dev && in.st_ino == out.st_ino)
+                return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%.300s: the output would overwrite an input", output);
+    }
+    const char *slash = strrchr(output, '/');
+    char folder[1024] = ".";
+    if (slash && snprintf(folder, sizeof(folder), "%.*s", (int)(slash - output) + 1, output) >= (int)sizeof(folder))
+        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "the name of the output is too long");
+    if (access(folder, W_OK) != 0)
+        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%.300s: can't write in %.100s: %s", output, folder, strerror(errno));
+    return LMG_OK;
+}
+
+static void print_share(const char *name, double lumens, double error, double emitted)
+{
+    printf("  %-9s %12.6g lm  +- %-9.2g %9.4f %%\n", name, lumens, error, 100 * lumens / emitted);
+}
+
+void print_ledger(const lmg_ledger *l)
+{
+    printf("  emitted   %12.6g lm\n", l->emitted);
+    print_share("stored", l->stored, l->stored_se, l->emitted);
+    print_share("residual", l->residual, l->residual_se, l->emitted);
+    print_share("absorbed", l->absorbed, l->absorbed_se, l->emitted);
+    print_share("lost", l->lost, l->lost_se, l->emitted);
 }
 
 /* ------------------------------------------------------------------------------------------------------------ recipes */

@@ -19,6 +19,7 @@ int cmd_bake(int argc, char **argv);
 int cmd_info(int argc, char **argv);
 int cmd_probe(int argc, char **argv);
 int cmd_compare(int argc, char **argv);
+int cmd_merge(int argc, char **argv);
 
 /* Prints "error: message" as one line to stderr and returns the exit code that the result stands for when it came from reading or
  * judging the user's input. */
@@ -35,6 +36,13 @@ uint64_t argument_count(const struct argp_state *state, const char *option, cons
                         uint64_t most);                                                        /* "1e8" */
 double argument_seconds(const struct argp_state *state, const char *option, const char *text); /* "90s" "2m" "1h" */
 double argument_lumens(const struct argp_state *state, const char *option, const char *text);  /* "800lm" */
+
+/* Whether output can be written, asked before anything costly is done: its folder takes files, it is no folder itself and none of the
+ * inputs. */
+lmg_result check_output(const char *output, const char *const *inputs, size_t count, lmg_error *err);
+
+/* Prints where the light went: a line each for emitted, stored, residual, absorbed, lost. */
+void print_ledger(const lmg_ledger *ledger);
 
 /* A lamp with its recipe, as the options --recipe, --no-recipe and --set describe it. */
 typedef struct lamp_options {
