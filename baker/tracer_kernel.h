@@ -1,0 +1,491 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * The inner loop of the photon tracer: start, fly, meet a surface, escape.  Compiled once per kernel (tracer_kernel_*.c), each time
+ * with a constant set of features:
+ *
+ *     #define KERNEL_NAME tracer_kernel_plain      the tracer_kernel that this defines
+ *     #define KERNEL_FEATURES 0u                   TRACER_... of tracer_state.h
+ *     #include "tracer_kernel.h"
+ *
+ * Code of a feature stands under `if (HAS(TRACER_...))`, which the compiler drops where the kernel lacks it, or under #if where it
+ * is a part of the path.  Whatever happens to a photon on its way happens in one of four places:
+ *
+ *     start()        it is born: position, direction, colour
+ *     fly()          along a segment, before its end is looked at: absorption in solids
+ *     meet()         at a surface: scattering, passing by, entering and leaving solids
+ *     escape()       it leaves the model
+ *
+ * survivors() turns any loss into whole photons.  Numbers are drawn where a model needs them, never by feature.
+ */
+#include "batch.h"
+#include "tracer_state.h"
+
+#include <luminaires/rng.h>
+
+#include <float.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define HAS(feature) ((KERNEL_FEATURES & (feature)) != 0)
+
+/* How deep solids may be nested; deeper counts as lost. */
+enum { MAX_NESTED = 8 };
+/* Light that goes round for ever in a lossless closed model is given up (counted as lost) here, far beyond any light guide: of light
+ * that makes 10,000 bounces on average, a share of e^-100 goes further. */
+static const uint32_t RUNAWAY_SEGMENTS = 1000000;
+/* Paths longer than this are followed alone to their end: then the first of many trapped ones is known sooner. */
+static const uint32_t LONG_SEGMENTS = 100000;
+/* The whole run gives up when in a chunk more than TRAP_COUNT + TRAP_SHARE x (photons started) were given up: a model that keeps a
+ * thousandth of its light for ever is wrong (a thousand times the loss that is tolerated), and spends a thousand segments per photon
+ * on it.  TRAP_COUNT keeps chance from deciding: of a chunk's few given up by a smaller share, more than that come once in 10^4. */
+static const double TRAP_COUNT = 4, TRAP_SHARE = 0.001;
+/* Photons that wait because one became several.  On average one becomes at most one, so a few suffice; more count as lost. */
+enum { MAX_PENDING = 64 };
+
+typedef struct path {
+    double colour[3]; /* luminance 1 */
+    lum_rng rng;
+    uint64_t number;
+    uint32_t segments;
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    uint32_t nested;
+    int32_t inside[MAX_NESTED]; /* materials of the solids around, innermost last */
+#endif
+#if KERNEL_FEATURES & TRACER_POLARIZATION
+    lum_polarization polarization;
+#endif
+} path;
+
+/* A path that waits, with its ray. */
+typedef struct waiting_path {
+    lmg_vec3 origin, direction;
+    path path;
+} waiting_path;
+
+/*
+ * A thread follows WAVE paths side by side, one segment each in turn: their rays are traced together, then all hits are worked on.
+ * The memory that a hit needs is on its way meanwhile, and code and branches stay warm; a path's result doesn't depend on its
+ * company.
+ */
+enum { WAVE = 32 };
+
+typedef struct worker {
+    tracer_counts counts;
+    tracer_trap trap;
+    uint32_t alive; /* paths in the wave: the first ones */
+    lmg_vec3 origin[WAVE], direction[WAVE];
+    lum_hit hit[WAVE];
+    path path[WAVE];
+    uint32_t pending_count;
+    waiting_path pending[MAX_PENDING];
+    uint16_t order[BAKE_CHUNK]; /* of a chunk's photons: order_photons */
+    bake_batch batch;
+} worker;
+
+static double next_number(void *state)
+{
+    return lum_rng_next(state);
+}
+
+static double luminance(const double c[3])
+{
+    return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
+}
+
+/*
+ * How many photons go on, each with luminance 1, after an event that leaves the given share of each colour: mostly 0 or 1.  The
+ * path's colour becomes theirs.
+ */
+static inline uint32_t survivors(path *p, const double share[3])
+{
+    double q;
+    if (share[0] == share[1] && share[1] == share[2]) {
+        q = share[0]; /* grey: the colour stays, to the last bit */
+    } else {
+        const double c[3] = {p->colour[0] * share[0], p->colour[1] * share[1], p->colour[2] * share[2]};
+        q = luminance(c);
+        if (!(q > 0))
+            return 0;
+        const double scale = 1 / q;
+        for (int i = 0; i < 3; ++i)
+            p->colour[i] = c[i] * scale;
+        /* Six products and sums round q by a few units in the last place: that close to 1, nothing happened. */
+        if (fabs(q - 1) <= 8 * DBL_EPSILON)
+            q = 1;
+    }
+    if (q == 1)
+        return 1;
+    const double u = lum_rng_next(&p->rng);
+    if (q < 1)
+        return u < q;
+    const double whole = floor(q);
+    return (uint32_t)(whole < MAX_PENDING ? whole : MAX_PENDING) + (u < q - whole);
+}
+
+/* Puts copies of a multiplied photon aside; each goes on from where it is now, with random numbers of its own. */
+static void put_aside(worker *w, uint32_t i, uint32_t copies)
+{
+    for (uint32_t k = 0; k < copies; ++k) {
+        if (w->pending_count == MAX_PENDING) {
+            ++w->counts.lost;
+            continue;
+        }
+        waiting_path *copy = &w->pending[w->pending_count++];
+        *copy = (waiting_path){w->origin[i], w->direction[i], w->path[i]};
+        copy->path.rng.state = lum_mix64(copy->path.rng.state + k + 1);
+    }
+}
+
+/* -------------------------------------------------------------------------------------------------------------- solids */
+
+#if KERNEL_FEATURES & TRACER_SOLIDS
+static bool is_inside(const path *p, int32_t material)
+{
+    for (uint32_t i = 0; i < p->nested; ++i)
+        if (p->inside[i] == material)
+            return true;
+    return false;
+}
+
+/* A path that meets the back of a solid's boundary has been inside all along: it was born there.  Known from now on, and for this
+ * segment.  False: nested too deep. */
+static bool notice_birth_inside(const tracer *t, path *p, int32_t material, bool front)
+{
+    if (front || !t->media[material].solid || is_inside(p, material))
+        return true;
+    if (p->nested == MAX_NESTED)
+        return false;
+    memmove(&p->inside[1], &p->inside[0], p->nested * sizeof(p->inside[0]));
+    p->inside[0] = material;
+    ++p->nested;
+    return true;
+}
+
+/* Goes through the boundary of a solid: in from its front, out from its back.  False: nested too deep. */
+static bool cross_boundary(path *p, int32_t material, bool front)
+{
+    if (front) {
+        if (p->nested == MAX_NESTED)
+            return false;
+        p->inside[p->nested++] = material;
+        return true;
+    }
+    for (uint32_t i = p->nested; i-- > 0;)
+        if (p->inside[i] == material) {
+            memmove(&p->inside[i], &p->inside[i + 1], (p->nested - i - 1) * sizeof(p->inside[0]));
+            --p->nested;
+            break;
+        }
+    return true;
+}
+
+/* Index of the medium on the front side of a boundary of `material` that the path meets from the front or from inside. */
+static float index_outside(const tracer *t, const path *p, int32_t material, bool front)
+{
+    uint32_t n = p->nested;
+    if (!front && n > 0 && p->inside[n - 1] == material)
+        --n;
+    return n > 0 ? t->media[p->inside[n - 1]].ior : 1.0f;
+}
+#endif
+
+/* -------------------------------------------------------------------------------------------------------- on the way */
+
+static inline void escape(const tracer *t, worker *w, uint32_t i)
+{
+    const path *p = &w->path[i];
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    if (p->nested > 0) {
+        ++w->counts.lost;
+        ++w->counts.lost_inside;
+        return;
+    }
+#endif
+    ++w->counts.escaped;
+    const lmg_vec3 centre = t->model->centre, o = w->origin[i];
+    lmg_ray *ray = bake_batch_next(&w->batch);
+    ray->origin = (lmg_vec3){o.x + centre.x, o.y + centre.y, o.z + centre.z};
+    ray->direction = w->direction[i];
+    for (int k = 0; k < 3; ++k)
+        ray->flux[k] = (float)p->colour[k];
+    ray->wavelength = 0;
+    ray->number = p->number;
+}
+
+/* What happens to path i along its segment of length `length`: the number of photons that arrive at its end. */
+static inline uint32_t fly(const tracer *t, worker *w, uint32_t i, double length)
+{
+#if KERNEL_FEATURES & TRACER_ABSORPTION
+    path *p = &w->path[i];
+    if (p->nested > 0) {
+        const tracer_medium *m = &t->media[p->inside[p->nested - 1]];
+        if (m->absorbs) {
+            double share[3];
+            for (int k = 0; k < 3; ++k)
+                share[k] = exp(-m->absorption[k] * length);
+            const uint32_t photons = survivors(p, share);
+            w->counts.absorbed += 1 - (int64_t)photons;
+            return photons;
+        }
+    }
+#else
+    (void)t, (void)w, (void)i, (void)length;
+#endif
+    return 1;
+}
+
+/* What happens to path i, now standing for `photons` equal ones, at a surface; the number that goes on, with origin and direction
+ * renewed. */
+static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, const lum_surface *surface, int32_t material, uint32_t photons)
+{
+    path *p = &w->path[i];
+    const lum_hit *hit = &w->hit[i];
+    if (HAS(TRACER_COVERAGE) && surface->coverage < 1 && lum_rng_next(&p->rng) >= (double)surface->coverage) {
+        w->origin[i] = lum_offset(hit, w->direction[i]);
+        return photons;
+    }
+    double xi[4];
+    for (int k = 0; k < 4; ++k)
+        xi[k] = lum_rng_next(&p->rng);
+    float index = 1;
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    index = index_outside(t, p, material, surface->front);
+#else
+    (void)t, (void)material;
+#endif
+    lum_polarization *polarization = NULL;
+#if KERNEL_FEATURES & TRACER_POLARIZATION
+    polarization = &p->polarization;
+#endif
+    const lmg_vec3 d = w->direction[i], wi = {-d.x, -d.y, -d.z};
+    lum_scattered s;
+    lum_scatter_trace(surface, wi, index, xi, polarization, &s);
+    if (!(s.event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
+        w->counts.absorbed += photons;
+        return 0;
+    }
+    const double share[3] = {(double)s.weight[0], (double)s.weight[1], (double)s.weight[2]};
+    if (!isfinite(s.wo.x + s.wo.y + s.wo.z + share[0] + share[1] + share[2])) {
+        w->counts.lost += photons;
+        return 0;
+    }
+    const uint32_t each = survivors(p, share);
+    w->counts.absorbed += (int64_t)photons * (1 - (int64_t)each);
+    photons *= each;
+    if (photons == 0)
+        return 0;
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    if (s.event & LUM_BOUNDARY && !cross_boundary(p, material, surface->front)) {
+        w->counts.lost += photons;
+        return 0;
+    }
+#endif
+    w->origin[i] = lum_offset(hit, s.wo);
+    /* One Newton step towards unit length: rounding doesn't add up over hundreds of bounces. */
+    const double n = 1.5 - 0.5 * (s.wo.x * s.wo.x + s.wo.y * s.wo.y + s.wo.z * s.wo.z);
+    w->direction[i] = (lmg_vec3){s.wo.x * n, s.wo.y * n, s.wo.z * n};
+    return photons;
+}
+
+/* What happens to path i of the wave along its segment and at its end.  Returns whether it goes on. */
+static inline bool interact(const tracer *t, worker *w, uint32_t i)
+{
+    const lum_hit *hit = &w->hit[i];
+    ++w->counts.segments;
+    if (hit->triangle == LUM_MISS) {
+        escape(t, w, i);
+        return false;
+    }
+    ++w->path[i].segments;
+    lum_surface surface;
+    lum_surface_at(t->scene, hit, w->direction[i], &surface);
+    const int32_t material = (int32_t)(surface.material - t->model->materials);
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    if (!notice_birth_inside(t, &w->path[i], material, surface.front)) {
+        ++w->counts.lost;
+        return false;
+    }
+#endif
+    uint32_t photons = fly(t, w, i, hit->t);
+    if (photons > 0)
+        photons = meet(t, w, i, &surface, material, photons);
+    if (photons > 1)
+        put_aside(w, i, photons - 1);
+    return photons > 0;
+}
+
+/* Starts photon `number` as path i of the wave; false if it is lost at once. */
+static inline bool start(const tracer *t, worker *w, uint32_t i, uint64_t number)
+{
+    path *p = &w->path[i];
+    p->number = number;
+    p->rng = lum_rng_stream(t->seed, number);
+    p->segments = 0;
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    p->nested = 0;
+#endif
+#if KERNEL_FEATURES & TRACER_POLARIZATION
+    p->polarization = (lum_polarization){0};
+#endif
+    double xi[6];
+    for (int k = 0; k < 6; ++k)
+        xi[k] = lum_rng_next(&p->rng);
+    lum_photon photon;
+    lum_emitters_sample(t->emitters, xi, next_number, &p->rng, &photon);
+    ++w->counts.photons;
+    w->origin[i] = photon.origin;
+    w->direction[i] = photon.direction;
+    for (int k = 0; k < 3; ++k)
+        p->colour[k] = (double)photon.flux[k];
+    const double y = luminance(p->colour); /* 1 to float precision */
+    const lmg_vec3 o = photon.origin, d = photon.direction;
+    if (!isfinite(o.x + o.y + o.z + d.x + d.y + d.z + y) || !(y > 0)) {
+        ++w->counts.lost;
+        return false;
+    }
+    const double scale = 1 / y;
+    for (int k = 0; k < 3; ++k)
+        p->colour[k] *= scale;
+    return true;
+}
+
+/* ---------------------------------------------------------------------------------------------------------- the wave */
+
+/* Copies the origins and directions of the wave's rays for the benchmark. */
+static void record(tracer_job *j, const worker *w)
+{
+    for (uint32_t i = 0; i < w->alive && j->record_count < j->record_capacity; ++i) {
+        float *r = j->record + 6 * j->record_count++;
+        const lmg_vec3 o = w->origin[i], d = w->direction[i];
+        r[0] = (float)o.x, r[1] = (float)o.y, r[2] = (float)o.z;
+        r[3] = (float)d.x, r[4] = (float)d.y, r[5] = (float)d.z;
+    }
+}
+
+/* Puts the photons first .. first+count-1 (count at most BAKE_CHUNK) in the order of their first random number, roughly: it chooses
+ * the emitting triangle, so neighbours in this order start close together and find the emitter, and the tree around it, in the
+ * cache. */
+static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t count)
+{
+    enum { BUCKETS = 512 };
+    uint16_t bucket[BAKE_CHUNK], start_of[BUCKETS + 1] = {0};
+    for (uint32_t i = 0; i < count; ++i) {
+        lum_rng rng = lum_rng_stream(t->seed, first + i);
+        bucket[i] = (uint16_t)(lum_rng_next(&rng) * BUCKETS);
+        ++start_of[bucket[i] + 1];
+    }
+    for (uint32_t b = 0; b < BUCKETS; ++b)
+        start_of[b + 1] = (uint16_t)(start_of[b + 1] + start_of[b]);
+    for (uint32_t i = 0; i < count; ++i)
+        w->order[start_of[bucket[i]]++] = (uint16_t)i;
+}
+
+/* Follows a long path to its end, or until it is given up. */
+static void follow_alone(const tracer *t, worker *w, uint32_t i)
+{
+    for (;;) {
+        lum_scene_intersect_many(t->scene, 1, &w->origin[i], &w->direction[i], &w->hit[i]);
+        if (!interact(t, w, i))
+            return;
+        if (w->path[i].segments == RUNAWAY_SEGMENTS) {
+            ++w->counts.lost;
+            if (w->trap.trapped < TRACER_TRAPPED_KEPT)
+                w->trap.triangle[w->trap.trapped] = w->hit[i].triangle;
+            ++w->trap.trapped;
+            return;
+        }
+    }
+}
+
+/* The last path of the wave takes the place of one that ended; its hit may still have to be worked on. */
+static inline void close_gap(worker *w, uint32_t i)
+{
+    const uint32_t last = --w->alive;
+    w->origin[i] = w->origin[last];
+    w->direction[i] = w->direction[last];
+    w->hit[i] = w->hit[last];
+    w->path[i] = w->path[last];
+}
+
+/* Traces photons first .. first+count-1 (count at most BAKE_CHUNK) to their ends, or until too many are trapped. */
+static void chunk(void *self, void *state, uint64_t first, uint64_t count)
+{
+    tracer_job *j = self;
+    const tracer *t = j->tracer;
+    worker *w = state;
+    if (atomic_load_explicit(&j->stopped, memory_order_relaxed))
+        return;
+    order_photons(t, w, first, (uint32_t)count);
+    w->trap.started = w->trap.trapped = 0;
+    uint32_t next = 0;
+    for (;;) {
+        while (w->alive < WAVE) {
+            if (w->pending_count > 0) {
+                const waiting_path *p = &w->pending[--w->pending_count];
+                w->origin[w->alive] = p->origin;
+                w->direction[w->alive] = p->direction;
+                w->path[w->alive++] = p->path;
+            } else if (next < count) {
+                w->alive += start(t, w, w->alive, first + w->order[next++]);
+            } else {
+                break;
+            }
+        }
+        if (w->alive == 0)
+            return;
+        if (j->record)
+            record(j, w);
+        lum_scene_intersect_many(t->scene, w->alive, w->origin, w->direction, w->hit);
+        for (uint32_t i = 0; i < w->alive;) {
+            if (!interact(t, w, i)) {
+                close_gap(w, i);
+            } else if (w->path[i].segments < LONG_SEGMENTS) {
+                ++i;
+            } else {
+                follow_alone(t, w, i);
+                close_gap(w, i);
+                if (w->trap.trapped > TRAP_COUNT + TRAP_SHARE * next) {
+                    if (!atomic_flag_test_and_set(&j->trap_taken)) {
+                        w->trap.started = next;
+                        j->trap = w->trap;
+                    }
+                    atomic_store(&j->stopped, true);
+                    return;
+                }
+            }
+        }
+    }
+}
+
+static void *begin(void *self)
+{
+    const tracer_job *j = self;
+    worker *w = malloc(sizeof(*w));
+    if (w) {
+        memset(&w->counts, 0, sizeof(w->counts));
+        w->alive = w->pending_count = 0;
+        w->batch.sinks = j->sinks;
+        w->batch.sink_count = j->sink_count;
+        w->batch.count = 0;
+    }
+    return w;
+}
+
+static void end(void *self, void *state)
+{
+    tracer_job *j = self;
+    worker *w = state;
+    bake_batch_flush(&w->batch);
+    j->counts.photons += w->counts.photons;
+    j->counts.escaped += w->counts.escaped;
+    j->counts.absorbed += w->counts.absorbed;
+    j->counts.lost += w->counts.lost;
+    j->counts.lost_inside += w->counts.lost_inside;
+    j->counts.segments += w->counts.segments;
+    free(w);
+}
+
+#define KERNEL_TEXT_OF(name) #name
+#define KERNEL_TEXT(name) KERNEL_TEXT_OF(name)
+const tracer_kernel KERNEL_NAME = {KERNEL_TEXT(KERNEL_NAME), KERNEL_FEATURES, begin, chunk, end};

@@ -1,0 +1,87 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * What the photon tracer (tracer.c) and its kernels (tracer_kernel.h, compiled several times) share: features, the tracer, counts.
+ *
+ * A *feature* is code that not every luminaire needs.  Each kernel is compiled with a constant set of features and contains no
+ * code of the others; tracer.c chooses one kernel per bake, the first in the list of tracer_kernels.c that has all that the model
+ * and the plan need.  A feature that the model doesn't use never changes a result: what a photon does with its random numbers
+ * depends on what it meets, not on the kernel.
+ *
+ * To add a feature: a bit here, its code under HAS(bit) in tracer_kernel.h, the kernels that have it (tracer_kernel_*.c), and the
+ * condition under which a model needs it in needed_features (tracer.c).
+ */
+#ifndef BAKER_TRACER_STATE_H
+#define BAKER_TRACER_STATE_H
+
+#include "parallel.h"
+#include "source.h"
+
+#include <luminaires/model.h>
+#include <luminaires/scatter.h>
+#include <luminaires/scene.h>
+
+#include <stdatomic.h>
+
+#define TRACER_TEXTURES 1u     /* textures, normal maps, vertex colours */
+#define TRACER_COVERAGE 2u     /* alpha mask and blend: part of the light passes a surface by */
+#define TRACER_SOLIDS 4u       /* boundaries of solids: paths remember what they are inside of */
+#define TRACER_ABSORPTION 8u   /* inside solids; needs TRACER_SOLIDS */
+#define TRACER_POLARIZATION 16u /* photons carry a polarization from one specular event to the next */
+
+/* What the loop needs of a material, in one cache line per few materials. */
+typedef struct tracer_medium {
+    bool solid, absorbs;
+    float ior;
+    double absorption[3]; /* 1/m */
+} tracer_medium;
+
+typedef struct tracer_kernel tracer_kernel;
+
+typedef struct tracer {
+    bake_source source; /* first: a bake_source is cast back to its tracer */
+    const lum_model *model;
+    lum_scene *scene;
+    lum_emitters *emitters;
+    tracer_medium *media; /* per material */
+    const tracer_kernel *kernel;
+    uint64_t seed;
+} tracer;
+
+typedef struct tracer_counts {
+    int64_t photons, escaped, absorbed, lost, lost_inside, segments;
+} tracer_counts;
+
+/* Where light goes round for ever: the last triangles of paths that were given up (a few, enough to name the place). */
+enum { TRACER_TRAPPED_KEPT = 16 };
+typedef struct tracer_trap {
+    uint32_t started, trapped; /* photons, of the chunk that gave up */
+    uint32_t triangle[TRACER_TRAPPED_KEPT];
+} tracer_trap;
+
+/* One call of run: work for bake_parallel. */
+typedef struct tracer_job {
+    const tracer *tracer;
+    const lmg_sink *sinks;
+    size_t sink_count;
+    float *record; /* for the benchmark, else NULL: segments' origins and directions, 6 floats each */
+    size_t record_count, record_capacity;
+    tracer_counts counts; /* summed up in end */
+    atomic_flag trap_taken; /* the first thread that gives up describes the trap */
+    atomic_bool stopped;    /* light is trapped: the rest of the work is left */
+    tracer_trap trap;
+} tracer_job;
+
+/* One compiled kernel.  begin, chunk and end are those of bake_work, self being a tracer_job. */
+struct tracer_kernel {
+    const char *name;
+    uint32_t features;
+    void *(*begin)(void *self);
+    void (*chunk)(void *self, void *state, uint64_t first, uint64_t count);
+    void (*end)(void *self, void *state);
+};
+
+/* tracer_kernels.c: all kernels, those with fewer features first; the last has all features. */
+extern const tracer_kernel *const tracer_kernels[];
+extern const size_t tracer_kernel_count;
+
+#endif
