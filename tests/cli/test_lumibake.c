@@ -10,6 +10,8 @@
 
 #include <cmocka.h>
 
+#include "run_lumibake.h"
+
 #include <jansson.h>
 
 #include <dirent.h>
@@ -26,127 +28,8 @@
 #include <time.h>
 #include <unistd.h>
 
-static char folder[1024];
 static char lamp[1100]; /* a sample lamp */
 static char box[1100];  /* and its box, baked by setup */
-
-enum { MAX_TEXT = 1 << 20, KILLED = 1000 };
-
-typedef struct outcome {
-    int code; /* exit code; KILLED + signal */
-    char *out, *err;
-} outcome;
-
-static char *slurp(const char *path, size_t *size)
-{
-    FILE *f = fopen(path, "rb");
-    if (!f)
-        return NULL;
-    fseek(f, 0, SEEK_END);
-    const long n = ftell(f);
-    rewind(f);
-    char *text = malloc((size_t)n + 1);
-    assert_non_null(text);
-    assert_int_equal(fread(text, 1, (size_t)n, f), n);
-    text[n] = 0;
-    fclose(f);
-    if (size)
-        *size = (size_t)n;
-    return text;
-}
-
-static void write_file(const char *path, const void *bytes, size_t size)
-{
-    FILE *f = fopen(path, "wb");
-    assert_non_null(f);
-    assert_int_equal(fwrite(bytes, 1, size, f), size);
-    fclose(f);
-}
-
-static const char *in_folder(const char *name)
-{
-    static char paths[8][1200];
-    static int turn;
-    char *path = paths[turn++ % 8];
-    snprintf(path, sizeof(paths[0]), "%s/%s", folder, name);
-    return path;
-}
-
-static pid_t start(const char *const *args)
-{
-    char *argv[32] = {(char *)(uintptr_t)LUMIBAKE};
-    int n = 1;
-    for (; args[n - 1]; ++n) {
-        assert_true(n < 31);
-        argv[n] = (char *)(uintptr_t)args[n - 1];
-    }
-    const char *out = in_folder("stdout"), *err = in_folder("stderr");
-    fflush(NULL);
-    const pid_t pid = fork();
-    assert_true(pid >= 0);
-    if (pid == 0) {
-        const int o = open(out, O_WRONLY | O_CREAT | O_TRUNC, 0666), e = open(err, O_WRONLY | O_CREAT | O_TRUNC, 0666);
-        const int i = open(in_folder("stdin"), O_RDONLY | O_CREAT, 0666);
-        dup2(i, 0);
-        dup2(o, 1);
-        dup2(e, 2);
-        alarm(240); /* a hang is a failure */
-        execv(argv[0], argv);
-        _exit(127);
-    }
-    return pid;
-}
-
-static outcome finish(pid_t pid)
-{
-    int status;
-    while (waitpid(pid, &status, 0) < 0)
-        assert_int_equal(errno, EINTR);
-    outcome o = {.code = WIFEXITED(status) ? WEXITSTATUS(status) : KILLED + WTERMSIG(status)};
-    o.out = slurp(in_folder("stdout"), NULL);
-    o.err = slurp(in_folder("stderr"), NULL);
-    assert_true(o.out && o.err);
-    return o;
-}
-
-static outcome run_args(const char *const *args)
-{
-    return finish(start(args));
-}
-#define RUN(...) run_args((const char *const[]){__VA_ARGS__, NULL})
-
-static void release(outcome *o)
-{
-    free(o->out);
-    free(o->err);
-}
-
-/* Lines of text that begin with `start`. */
-static int lines_with(const char *text, const char *start)
-{
-    int n = 0;
-    for (const char *line = text; *line;) {
-        n += !strncmp(line, start, strlen(start));
-        line += strcspn(line, "\n");
-        line += *line == '\n';
-    }
-    return n;
-}
-
-static int lines_of(const char *text)
-{
-    return lines_with(text, "");
-}
-
-static void expect(int line, outcome o, int code, const char *message)
-{
-    if (o.code != code || !strstr(o.err, message))
-        fail_msg("line %d: exit code %d, expected %d and \"%s\" in: %s", line, o.code, code, message, o.err);
-    if (lines_with(o.err, "error:") != 1)
-        fail_msg("line %d: not one error line: %s", line, o.err);
-    release(&o);
-}
-#define EXPECT(run, code, message) expect(__LINE__, run, code, message)
 
 /* ------------------------------------------------------------------------------------------------------ usage and help */
 
@@ -330,12 +213,6 @@ static void test_bake_summary_and_flux(void **state)
     assert_string_equal(o.out, "");
     assert_string_equal(o.err, "");
     release(&o);
-}
-
-static void pause_seconds(double s)
-{
-    const struct timespec t = {(time_t)s, (long)(1e9 * (s - floor(s)))};
-    nanosleep(&t, NULL);
 }
 
 /* Ctrl-C in a long bake: a valid box with what was traced, exit code 130. */

@@ -1,0 +1,309 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Bakes that are interrupted, killed, resumed, shared and merged: always the bytes of one straight run.  And what must not be merged or
+ * resumed: it ends in one line that says why.
+ */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include "run_lumibake.h"
+
+#include <jansson.h>
+
+#include <signal.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+static char spot[1100], globe[1100]; /* sample lamps */
+
+static void same_file(const char *a, const char *b)
+{
+    size_t na, nb;
+    char *x = slurp(a, &na), *y = slurp(b, &nb);
+    assert_true(x && y);
+    if (na != nb || memcmp(x, y, na) != 0)
+        fail_msg("%s and %s differ", a, b);
+    free(x);
+    free(y);
+}
+
+static bool exists(const char *path)
+{
+    return access(path, F_OK) == 0;
+}
+
+/* A path that stays valid (in_folder's doesn't for long). */
+typedef struct name {
+    char text[1200];
+} name;
+static name path_of(const char *file)
+{
+    name n;
+    snprintf(n.text, sizeof(n.text), "%s", in_folder(file));
+    return n;
+}
+
+static void bake(const char *const *args)
+{
+    outcome o = run_args(args);
+    if (o.code != 0)
+        fail_msg("exit code %d: %s", o.code, o.err);
+    release(&o);
+}
+#define BAKE(...) bake((const char *const[]){"bake", __VA_ARGS__, "--cells", "1e5", "-q", NULL})
+
+/* ------------------------------------------------------------------------------------------------------------- merging */
+
+/* Seven uneven parts of 300,000 photons, each by first photon and number; two have a single photon. */
+static const int PARTS[7][2] = {{0, 1}, {1, 49999}, {50000, 100000}, {150000, 4097}, {154097, 45903}, {200000, 99999}, {299999, 1}};
+
+static void test_seven_uneven_parts(void **state)
+{
+    (void)state;
+    const name whole = path_of("whole.box.exr"), merged = path_of("merged.box.exr");
+    BAKE(globe, "-o", whole.text, "--photons", "300000", "--pilot", "20000", "--seed", "5");
+    assert_false(exists(in_folder("whole.box.exr.part")));
+    name parts[7];
+    for (int i = 0; i < 7; ++i) {
+        char box[32], first[16], count[16];
+        snprintf(box, sizeof(box), "p%d.box.exr", i);
+        snprintf(first, sizeof(first), "%d", PARTS[i][0]);
+        snprintf(count, sizeof(count), "%d", PARTS[i][1]);
+        const name output = path_of(box);
+        BAKE(globe, "-o", output.text, "--first", first, "--photons", count, "--pilot", "20000", "--seed", "5", "--threads",
+             i % 3 == 0 ? "1" : i % 3 == 1 ? "3" : "8");
+        snprintf(box, sizeof(box), "p%d.box.exr.part", i);
+        parts[i] = path_of(box);
+    }
+    static const int ORDERS[3][7] = {{0, 1, 2, 3, 4, 5, 6}, {6, 5, 4, 3, 2, 1, 0}, {3, 0, 6, 2, 5, 1, 4}};
+    for (int k = 0; k < 3; ++k) {
+        const char *args[12] = {"merge"};
+        for (int i = 0; i < 7; ++i)
+            args[1 + i] = parts[ORDERS[k][i]].text;
+        args[8] = "-o";
+        args[9] = merged.text;
+        args[10] = "-q";
+        bake(args);
+        same_file(whole.text, merged.text);
+    }
+    /* in two steps, through a kept sum */
+    const name half = path_of("half.box.exr"), kept = path_of("half.box.exr.part");
+    bake((const char *const[]){"merge", parts[4].text, parts[0].text, parts[2].text, "-o", half.text, "--keep", "-q", NULL});
+    bake((const char *const[]){"merge", parts[5].text, parts[1].text, kept.text, parts[6].text, parts[3].text, "-o", merged.text,
+                               "-q", NULL});
+    same_file(whole.text, merged.text);
+    /* the gaps of a kept sum are what resuming fills */
+    BAKE(globe, "-o", half.text, "--photons", "300000", "--seed", "5", "--resume");
+    same_file(whole.text, half.text);
+    assert_false(exists(kept.text));
+    /* a box of scattered photons says which */
+    outcome o = RUN("merge", parts[5].text, parts[1].text, "-o", merged.text, "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = json_loads(o.out, 0, NULL);
+    assert_int_equal(json_array_size(json_object_get(j, "ranges")), 2);
+    assert_int_equal(json_integer_value(json_object_get(j, "photons")), 49999 + 99999);
+    json_decref(j);
+    release(&o);
+    o = RUN("info", merged.text);
+    assert_non_null(strstr(o.out, "1-49999,200000-299998"));
+    release(&o);
+}
+
+static void test_shares(void **state)
+{
+    (void)state;
+    const name whole = path_of("whole.box.exr"), merged = path_of("merged.box.exr");
+    BAKE(spot, "-o", whole.text, "--photons", "300001");
+    static const char *const SHARES[3] = {"1/3", "2/3", "3/3"}, *const BOXES[3] = {"s1.box.exr", "s2.box.exr", "s3.box.exr"};
+    for (int i = 0; i < 3; ++i)
+        BAKE(spot, "-o", in_folder(BOXES[i]), "--photons", "300001", "--share", SHARES[i]);
+    const name a = path_of("s1.box.exr.part"), b = path_of("s2.box.exr.part"), c = path_of("s3.box.exr.part");
+    bake((const char *const[]){"merge", b.text, c.text, a.text, "-o", merged.text, "-q", NULL});
+    same_file(whole.text, merged.text);
+}
+
+static void test_strangers_are_refused(void **state)
+{
+    (void)state;
+    const name p0 = path_of("p0.box.exr.part"), out = path_of("merged.box.exr"), box = path_of("other.box.exr");
+    const name other = path_of("other.box.exr.part");
+    BAKE(globe, "-o", path_of("p0.box.exr").text, "--first", "0", "--photons", "1000", "--pilot", "20000", "--seed", "5");
+    static const struct {
+        const char *lamp, *option, *value, *seed, *pilot, *why;
+    } STRANGERS[] = {
+        {spot, "--threads", "1", "5", "20000", "recipe"}, /* the spot has one, the globe none */
+        {globe, "--flux", "700lm", "5", "20000", "settings"},
+        {globe, "--layout", "cube", "5", "20000", "settings"},
+        {globe, "--set", "leave-out:Socket", "5", "20000", "recipe"},
+        {globe, "--threads", "1", "6", "20000", "seed 5 and 6"},
+        {globe, "--threads", "1", "5", "30000", "pilot_photons 20000 and 30000"},
+        {globe, "--threads", "1", "5", "20000", "photons 500 to 999 are in both"},
+    };
+    for (size_t i = 0; i < sizeof(STRANGERS) / sizeof(STRANGERS[0]); ++i) {
+        outcome o = RUN("bake", STRANGERS[i].lamp, "-o", box.text, "--first", "500", "--photons", "1000", "--pilot", STRANGERS[i].pilot,
+                        "--seed", STRANGERS[i].seed, STRANGERS[i].option, STRANGERS[i].value, "--cells", "1e5", "-q");
+        if (o.code == 0)
+            EXPECT(RUN("merge", p0.text, other.text, "-o", out.text), 3, STRANGERS[i].why);
+        else
+            fail_msg("case %zu: %s", i, o.err);
+        release(&o);
+    }
+    EXPECT(RUN("merge", p0.text, p0.text, "-o", out.text), 3, "overlap");
+    EXPECT(RUN("merge", p0.text, spot, "-o", out.text), 3, "not a checkpoint");
+    EXPECT(RUN("merge", p0.text, "-o", p0.text), 1, "overwrite");
+    EXPECT(RUN("merge", p0.text), 2, "-o");
+    EXPECT(RUN("merge", "-o", out.text), 2, "which parts");
+    EXPECT(RUN("merge", in_folder("missing.part"), "-o", out.text), 3, "No such file");
+    EXPECT(RUN("bake", spot, "-o", out.text, "--photons", "0"), 2, "no photons, no light");
+    EXPECT(RUN("bake", spot, "-o", out.text, "--photons", "10", "--share", "3/2"), 2, "--share");
+    EXPECT(RUN("bake", spot, "-o", out.text, "--share", "1/2"), 2, "--share needs --photons");
+    EXPECT(RUN("bake", spot, "-o", out.text, "--photons", "1", "--share", "1/2"), 2, "too many shares");
+    EXPECT(RUN("bake", spot, "-o", out.text, "--photons", "10", "--first", "3"), 2, "--first needs --pilot");
+    EXPECT(RUN("bake", spot, "-o", out.text, "--checkpoint", "61s"), 2, "more than a minute");
+
+    /* nor may a bake go on from them */
+    const name at = path_of("p0.box.exr");
+    EXPECT(RUN("bake", globe, "-o", at.text, "--photons", "5000", "--cells", "1e5", "--seed", "6", "--resume", "-q"), 3, "seed 5 and 6");
+    EXPECT(RUN("bake", globe, "-o", at.text, "--photons", "5000", "--cells", "1e5", "--seed", "5", "--pilot", "50000", "--resume", "-q"), 3,
+           "leave --pilot out");
+    EXPECT(RUN("bake", globe, "-o", at.text, "--photons", "500", "--cells", "1e5", "--seed", "5", "--resume", "-q"), 3, "ask for more");
+    EXPECT(RUN("bake", spot, "-o", at.text, "--photons", "5000", "--cells", "1e5", "--seed", "5", "--resume", "-q"), 3, "recipe");
+}
+
+/* Cut anywhere or with a bit flipped anywhere: one line, exit code 3. */
+static void test_damaged_parts(void **state)
+{
+    (void)state;
+    const name good = path_of("d.box.exr"), part = path_of("d.box.exr.part"), bad = path_of("bad.part"), out = path_of("merged.box.exr");
+    BAKE(spot, "-o", good.text, "--photons", "3000", "--keep");
+    size_t size;
+    char *bytes = slurp(part.text, &size);
+    assert_non_null(bytes);
+    uint64_t random = 12345;
+    for (int i = 0; i < 60; ++i) {
+        random = random * 6364136223846793005u + 1442695040888963407u;
+        size_t at = (size_t)(random >> 16) % size;
+        if (i < 20)
+            at = at % 1500; /* the head */
+        if (i % 2 == 0) {
+            write_file(bad.text, bytes, at);
+        } else {
+            bytes[at] = (char)(bytes[at] ^ 1 << (random >> 8) % 8);
+            write_file(bad.text, bytes, size);
+            bytes[at] = (char)(bytes[at] ^ 1 << (random >> 8) % 8);
+        }
+        outcome o = RUN("merge", bad.text, "-o", out.text);
+        if (o.code != 3 || lines_with(o.err, "error:") != 1)
+            fail_msg("%s at byte %zu: exit code %d: %s", i % 2 ? "flipped" : "cut", at, o.code, o.err);
+        release(&o);
+    }
+    write_file(part.text, bytes, size / 2);
+    EXPECT(RUN("bake", spot, "-o", good.text, "--photons", "3000", "--cells", "1e5", "--resume"), 3, "cut short or altered");
+    free(bytes);
+}
+
+/* ------------------------------------------------------------------------------------------------------------- restart */
+
+/* Ctrl-C, again and again: each time a valid box, and in the end the bytes of a bake that nobody interrupted. */
+static void test_interrupted_and_resumed(void **state)
+{
+    (void)state;
+    const name whole = path_of("whole.box.exr"), box = path_of("stopped.box.exr"), part = path_of("stopped.box.exr.part");
+    BAKE(spot, "-o", whole.text, "--photons", "3e6");
+    unlink(part.text);
+    int interruptions = 0;
+    for (int i = 0; i < 200; ++i) {
+        const pid_t pid = start((const char *const[]){"bake", spot, "-o", box.text, "--photons", "3e6", "--cells", "1e5", "--resume",
+                                                      "--checkpoint", "0.1s", i % 2 ? "--threads" : "-q", i % 2 ? "3" : NULL, NULL});
+        pause_seconds(0.3 + 0.25 * i);
+        kill(pid, i % 2 ? SIGINT : SIGTERM);
+        outcome o = finish(pid);
+        if (o.code == 130) {
+            ++interruptions;
+            assert_true(exists(part.text));
+            release(&o);
+            o = RUN("info", box.text);
+            assert_int_equal(o.code, 0);
+        } else if (o.code == 0) {
+            release(&o);
+            break;
+        } else {
+            assert_int_equal(o.code, KILLED + (i % 2 ? SIGINT : SIGTERM)); /* before it could listen */
+        }
+        release(&o);
+    }
+    assert_true(interruptions >= 1);
+    same_file(whole.text, box.text);
+    assert_false(exists(part.text));
+}
+
+/* kill -9 at whatever instant: the checkpoint is whole, and resuming gives the bytes of one run. */
+static void test_killed_and_resumed(void **state)
+{
+    (void)state;
+    const name whole = path_of("whole.box.exr"), box = path_of("killed.box.exr"), part = path_of("killed.box.exr.part");
+    unlink(part.text);
+    unlink(box.text);
+    int killed = 0;
+    for (int i = 0; i < 9; ++i) {
+        const pid_t pid = start((const char *const[]){"bake", spot, "-o", box.text, "--photons", "3e6", "--cells", "1e5", "--resume",
+                                                      "--checkpoint", "0.001s", "-q", NULL});
+        /* each time it lives a little longer; checkpoints follow every round, so it often dies while writing one */
+        pause_seconds(0.3 + 0.0371 * i);
+        kill(pid, SIGKILL);
+        outcome o = finish(pid);
+        killed += o.code == KILLED + SIGKILL;
+        release(&o);
+        if (exists(part.text)) {
+            o = RUN("merge", part.text, "-o", path_of("look.box.exr").text, "-q");
+            if (o.code != 0)
+                fail_msg("after kill %d: %s", i, o.err);
+            release(&o);
+        }
+    }
+    assert_true(killed >= 1);
+    BAKE(spot, "-o", box.text, "--photons", "3e6", "--resume");
+    same_file(whole.text, box.text);
+    assert_false(exists(part.text));
+}
+
+/* A finished bake that was kept goes on to more photons. */
+static void test_more_photons(void **state)
+{
+    (void)state;
+    const name whole = path_of("whole.box.exr"), box = path_of("more.box.exr");
+    BAKE(globe, "-o", whole.text, "--photons", "200000", "--pilot", "30000");
+    BAKE(globe, "-o", box.text, "--photons", "77777", "--pilot", "30000", "--keep");
+    BAKE(globe, "-o", box.text, "--photons", "200000", "--resume");
+    same_file(whole.text, box.text);
+}
+
+static int setup(void **state)
+{
+    (void)state;
+    snprintf(folder, sizeof(folder), "%s/tests/cli_restart", LUMIBOX_BINARY_DIR);
+    mkdir(folder, 0777);
+    snprintf(spot, sizeof(spot), "%s/models/paraboloid-spot/paraboloid-spot.gltf", LUMIBOX_BINARY_DIR);
+    snprintf(globe, sizeof(globe), "%s/models/opal-globe/opal-globe.gltf", LUMIBOX_BINARY_DIR);
+    write_file(in_folder("stdin"), "", 0);
+    return 0;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_seven_uneven_parts),      cmocka_unit_test(test_shares),
+        cmocka_unit_test(test_strangers_are_refused),   cmocka_unit_test(test_damaged_parts),
+        cmocka_unit_test(test_interrupted_and_resumed), cmocka_unit_test(test_killed_and_resumed),
+        cmocka_unit_test(test_more_photons),
+    };
+    return cmocka_run_group_tests_name("restart", tests, setup, NULL);
+}
