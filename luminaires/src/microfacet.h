@@ -16,13 +16,22 @@
 
 #include <luminaires/scatter.h>
 
-enum { LUM_LOBE_SEGMENTS = 64 /* a power of two */, LUM_LOBE_ROUGHNESSES = 24 };
+enum {
+    /* Steps for which tables are computed, and those, multiples, that they are refined to by cubic interpolation. */
+    LUM_LOBE_COMPUTED_SEGMENTS = 64,
+    LUM_LOBE_SEGMENTS = 128, /* a power of two */
+    LUM_LOBE_COMPUTED_ROUGHNESSES = 36,
+    LUM_LOBE_ROUGHNESSES = 108,
+    LUM_LOBE_FLOORS = 64
+};
 
 /* 1 - E over q at one roughness. */
 typedef struct lum_lobe {
-    double rest[LUM_LOBE_SEGMENTS + 1]; /* 1 - E at node j, q = (j / LUM_LOBE_SEGMENTS)^4 */
-    double sum[LUM_LOBE_SEGMENTS + 1];  /* integral of rest dq from 0 to node j; the last is 1 - E_avg */
-    uint8_t guide[LUM_LOBE_SEGMENTS];   /* of part k of LUM_LOBE_SEGMENTS equal parts of the sum: the segment where it begins */
+    float rest[LUM_LOBE_SEGMENTS + 1]; /* 1 - E at node j, q = (j / LUM_LOBE_SEGMENTS)^4 */
+    float sum[LUM_LOBE_SEGMENTS + 1];  /* integral of rest dq from 0 to node j; the last is 1 - E_avg */
+    float floor[LUM_LOBE_FLOORS];      /* lower bound of rest for q in [k, k+1] / LUM_LOBE_FLOORS: mostly saves looking closer */
+    float top;                         /* its largest value */
+    uint8_t guide[LUM_LOBE_SEGMENTS];  /* of part k of LUM_LOBE_SEGMENTS equal parts of the sum: the segment where it begins */
 } lum_lobe;
 
 /* Over roughness (sqrt of alpha): one lobe if it is constant, else LUM_LOBE_ROUGHNESSES + 1 equally spaced ones. */
@@ -71,6 +80,33 @@ double lum_lobe_rest(const lum_lobe_set *set, double alpha, double mu);
 double lum_lobe_total(const lum_lobe_set *set, double alpha);
 /* Squared cosine q of a direction distributed as p above; x in [0,1). */
 double lum_lobe_sample(const lum_lobe_set *set, double alpha, double x);
+/* The same from two numbers, faster where 1 - E hardly varies (coats): q = x is accepted with probability (1 - E(q)) / top. */
+double lum_lobe_sample_flat(const lum_lobe_set *set, double alpha, double x, double y);
+
+/* The lower one of the two lobes whose roughnesses are next to alpha; *w the weight of the other, 0 if there is none. */
+static inline const lum_lobe *lum_lobe_neighbours(const lum_lobe_set *set, double alpha, double *w)
+{
+    *w = 0;
+    if (set->count == 1) {
+        return set->lobes;
+    }
+    double x = sqrt(alpha < 1 ? alpha : 1) * LUM_LOBE_ROUGHNESSES;
+    int k = (int)x;
+    k = k < LUM_LOBE_ROUGHNESSES ? k : LUM_LOBE_ROUGHNESSES - 1;
+    *w = x - k;
+    return &set->lobes[k];
+}
+
+/* A lower bound of lum_lobe_rest at squared cosine q. */
+static inline float lum_lobe_floor(const lum_lobe_set *set, double alpha, double q)
+{
+    double w;
+    const lum_lobe *lobe = lum_lobe_neighbours(set, alpha, &w);
+    int k = (int)(q * LUM_LOBE_FLOORS);
+    k = k < LUM_LOBE_FLOORS ? k : LUM_LOBE_FLOORS - 1;
+    float a = lobe->floor[k], b = w > 0 ? lobe[1].floor[k] : a;
+    return a < b ? a : b;
+}
 
 /* The single-scattering albedo E(mu) by quadrature: what the tables hold. n: points per dimension. */
 double lum_lobe_albedo(lum_lobe_kind kind, double alpha, double eta, double mu, int n);
@@ -84,22 +120,113 @@ static inline double ggx_lambda(double alpha, double z, double s2)
     return z2 > 0 ? 0.5 * (sqrt(1 + alpha * alpha * s2 / z2) - 1) : (double)INFINITY;
 }
 
-/* D(m); the sum is of positive terms, so that narrow lobes keep their precision. */
-static inline double ggx_d(double alpha, lmg_vec3 m)
+/*
+ * Microfacets as seen from wi: a frame with the shading normal as z, and what all facets have in common.  Isotropic surfaces take x
+ * along wi, so that wi.y = 0.  For a direction w let B(w) = sqrt(z^2 + ax^2 x^2 + ay^2 y^2) = |z| (1 + 2 Lambda).
+ */
+typedef struct facets {
+    lmg_vec3 x, y, n; /* model frame */
+    lmg_vec3 wi;      /* local */
+    double ax, ay;    /* GGX widths along x and y */
+    double b;         /* B(wi) */
+} facets;
+
+/* One facet; m = h * length, so that reflection needs no square root. */
+typedef struct facet {
+    lmg_vec3 m;    /* local, not unit */
+    double mm, im; /* m.m and wi.m */
+} facet;
+
+static inline double facets_b(const facets *f, lmg_vec3 w)
 {
-    double a2 = alpha * alpha, e = a2 * m.z * m.z + m.x * m.x + m.y * m.y;
+    double x = f->ax * w.x, y = f->ay * w.y;
+    return sqrt(w.z * w.z + x * x + y * y);
+}
+
+/* D(h); the sum is of positive terms, so that narrow lobes keep their precision. */
+static inline double facets_d(const facets *f, lmg_vec3 h)
+{
+    double a2 = f->ax * f->ay, e = a2 * h.z * h.z + f->ay / f->ax * h.x * h.x + f->ax / f->ay * h.y * h.y;
     return a2 / (LUM_PI * e * e);
 }
 
-/* A facet normal seen from (s, 0, c), c > 0, distributed as its visible normals [heitz2018vndf], by spherical caps [dupuy2023caps].
- */
-static inline lmg_vec3 ggx_sample_visible(double alpha, double s, double c, double x, double y)
+/* Isotropic. c: cosine of wi with n, in (0,1]. */
+static inline facets facets_from(lmg_vec3 n, lmg_vec3 wi, double c, double alpha)
 {
-    double vx = alpha * s, inverse = 1 / sqrt(vx * vx + c * c), vz = c * inverse;
+    facets f;
+    lmg_vec3 x = vec_along(wi, n, -c);
+    double s2 = vec_dot(x, x), s = 0;
+    f.n = n;
+    if (s2 > 1e-24) { /* closer to the normal the frame doesn't matter */
+        s = sqrt(s2);
+        f.x = vec_scale(x, 1 / s);
+        f.y = vec_cross(n, f.x);
+    } else {
+        vec_frame(n, &f.x, &f.y);
+    }
+    f.wi = vec(s, 0, c);
+    f.ax = f.ay = alpha;
+    f.b = facets_b(&f, f.wi);
+    return f;
+}
+
+/* A facet distributed as wi sees them: visible normals [heitz2018vndf], by spherical caps [dupuy2023caps]. */
+static inline facet facets_sample(const facets *f, double x, double y)
+{
+    facet r;
+    double inverse = 1 / f->b, vz = f->wi.z * inverse;
     double si, co, z = (1 - y) * (1 + vz) - vz;
-    double r2 = (1 - z) * (1 + z), r = sqrt(r2 > 0 ? r2 : 0);
+    double r2 = (1 - z) * (1 + z), q = sqrt(r2 > 0 ? r2 : 0);
     sincos_turns(x, &si, &co);
-    return vec_unit(vec(alpha * (r * co + vx * inverse), alpha * r * si, z + vz + 0x1p-60 /* never the zero vector */));
+    r.m = vec(f->ax * (q * co + f->ax * f->wi.x * inverse), f->ay * (q * si + f->ay * f->wi.y * inverse),
+              z + vz + 0x1p-60 /* never the zero vector */);
+    r.mm = vec_dot(r.m, r.m);
+    r.im = vec_dot(f->wi, r.m);
+    return r;
+}
+
+/* Cosine of wi with the facet. */
+static inline double facet_cosine(const facet *m)
+{
+    double c = m->im / sqrt(m->mm);
+    return c < 1 ? c > 0 ? c : 0 : 1;
+}
+
+static inline lmg_vec3 facet_reflected(const facets *f, const facet *m)
+{
+    double k = 2 * m->im / m->mm;
+    return vec(k * m->m.x - f->wi.x, k * m->m.y - f->wi.y, k * m->m.z - f->wi.z);
+}
+
+/* Whether light reflected towards o (local) gets away in one bounce; true with probability G2/G1, height-correlated Smith
+ * [heitz2014masking] = (1 + Lambda_i) / (1 + Lambda_i + Lambda_o) = z (c + B_i) / (z B_i + c B_o). */
+static inline bool facets_keep_reflected(const facets *f, lmg_vec3 o, double v)
+{
+    return o.z > 0 && v * (o.z * f->b + f->wi.z * facets_b(f, o)) < o.z * (f->wi.z + f->b);
+}
+
+/* Share of light refracted towards o (local, |z|) that gets away: 1 / (1 + Lambda_o). */
+static inline double facets_keep_refracted(const facets *f, lmg_vec3 o)
+{
+    double z = -o.z;
+    return z > 0 ? 2 * z / (z + facets_b(f, o)) : 0;
+}
+
+static inline lmg_vec3 facets_to_model(const facets *f, lmg_vec3 w)
+{
+    return vec(w.x * f->x.x + w.y * f->y.x + w.z * f->n.x, w.x * f->x.y + w.y * f->y.y + w.z * f->n.y,
+               w.x * f->x.z + w.y * f->y.z + w.z * f->n.z);
+}
+
+static inline lmg_vec3 facets_to_local(const facets *f, lmg_vec3 w)
+{
+    return vec(vec_dot(w, f->x), vec_dot(w, f->y), vec_dot(w, f->n));
+}
+
+/* The facet's unit normal in the model frame. */
+static inline lmg_vec3 facet_normal(const facets *f, const facet *m)
+{
+    return facets_to_model(f, vec_scale(m->m, 1 / sqrt(m->mm)));
 }
 
 #endif
