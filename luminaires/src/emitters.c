@@ -27,6 +27,7 @@ typedef struct emissive_triangle {
     uint32_t n;        /* cuts per edge: n * n patches */
     bool textured, both;
     uint32_t first_patch, triangle;
+    int32_t material;
 } emissive_triangle;
 
 /* One entry of the alias table: a patch, or (from patch_count on) a light. */
@@ -461,6 +462,7 @@ lmg_result lum_emitters_create(const lum_model *model, lum_emitters **out, lmg_e
         t->ng[2] = twice > 0 ? (float)(cross.z / twice) : 1;
         e->of_triangle[i] = (int32_t)next++;
         t->triangle = i;
+        t->material = model->triangle_material[i];
         t->area = (float)(0.5 * twice);
         t->error = nextafterf((float)lum_triangle_error((const float(*)[3])t->v), INFINITY);
         emission_at(model, i, 1.0 / 3, 1.0 / 3, t->emission);
@@ -567,6 +569,7 @@ void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], doubl
     if (i >= emitters->patch_count) {
         const punctual *p = &emitters->lights[i - emitters->patch_count];
         out->origin = p->light.position;
+        out->material = LUM_NONE;
         memcpy(out->flux, p->colour, sizeof out->flux);
         if (p->light.kind == LUM_LIGHT_POINT) {
             out->direction = vec_about(vec(0, 0, 1), 2 * xi[1] - 1, xi[2]);
@@ -586,6 +589,7 @@ void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], doubl
     double b1, b2;
     point_in_patch(t, i, xi[1], xi[2], &b1, &b2);
     memcpy(out->flux, t->colour, sizeof out->flux);
+    out->material = t->material;
     if (t->textured) {
         float rgb[3];
         emission_at(emitters->model, t->triangle, b1, b2, rgb);

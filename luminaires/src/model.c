@@ -122,6 +122,9 @@ void lum_model_destroy(lum_model *model)
     for (uint32_t i = 0; i < model->image_count; i++)
         free(model->images[i].texels);
     free(model->images);
+    for (uint32_t i = 0; i < model->spectrum_count; i++)
+        free(model->spectra[i]);
+    free(model->spectra);
     free(model->lights);
     free(model->cameras);
     for (uint32_t i = 0; i < model->warning_count; i++)

@@ -331,7 +331,7 @@ void lum_scatter_trace(const lum_surface *surface, lmg_vec3 wi, float eta_outsid
             return;
         }
         const lum_medium_tables *tables = medium_of(surface->tables, eta_outside);
-        double eta = (double)surface->material->ior / (double)eta_outside;
+        double eta = (double)surface->ior / (double)eta_outside;
         if (choose(&u, (double)surface->transmission)) {
             bool outward = !at.front && !surface->material->thin;
             sample_clear(surface, &at, wi, tables, outward ? 1 / eta : eta, xi, u, pol, out);

@@ -120,7 +120,7 @@ static density density_of(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, 
     }
 
     const lum_medium_tables *tables = surface->kind == LUM_SURFACE_PBR ? medium_of(surface->tables, eta_outside) : NULL;
-    double eta = (double)material->ior / (double)eta_outside;
+    double eta = (double)surface->ior / (double)eta_outside;
     const lum_lobe_set *coat = share[2] > 0 ? coat_of(surface, tables, at.front) : NULL;
     bool outward = !at.front && !material->thin && surface->transmission > 0;
     double across = outward ? 1 / eta : eta; /* the relative index that light from wi meets */

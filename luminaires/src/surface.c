@@ -30,6 +30,7 @@ lmg_result lum_shading_create(lum_scene *scene, lmg_error *err)
         memcpy(s->base, m->base_color, sizeof s->base);
         s->metallic = m->metallic;
         s->alpha = m->roughness * m->roughness;
+        s->ior = m->ior;
         s->transmission = m->transmission;
         s->diffuse_transmission = m->diffuse_transmission;
         s->coverage = m->alpha_mode == LUM_ALPHA_BLEND  ? m->base_color[3]

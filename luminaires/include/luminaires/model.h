@@ -6,7 +6,7 @@
 #ifndef LUMINAIRES_MODEL_H
 #define LUMINAIRES_MODEL_H
 
-#include <lumigraph/lumigraph.h>
+#include <luminaires/spectrum.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -66,6 +66,7 @@ typedef struct lum_material {
     float alpha_cutoff;
     bool double_sided;
     bool emits_back;             /* emission from the back face too (double-sided emitters) */
+    lum_spectral spectral;       /* by wavelength, where more is known than R,G,B */
 } lum_material;
 
 typedef enum lum_light_kind { LUM_LIGHT_POINT = 0, LUM_LIGHT_SPOT = 1, LUM_LIGHT_DIRECTIONAL = 2 } lum_light_kind;
@@ -116,6 +117,7 @@ typedef struct lum_model {
     uint32_t material_count;  lum_material *materials; /* at least one */
     uint32_t image_count;     lum_image *images;
     uint32_t light_count;     lum_light *lights;
+    uint32_t spectrum_count;  lum_spectrum **spectra; /* what the materials' spectral data point to */
     uint32_t camera_count;    lum_camera *cameras;
     double rated_flux;        /* lumens of the whole lamp as the recipe's "flux" says, 0 = not given; the emitters are as they are */
     lmg_vec3 bounds_min, bounds_max; /* of the triangles (and punctual lights), relative to centre */

@@ -32,6 +32,7 @@ typedef struct lum_surface {
     lum_surface_kind kind;
     float base[3];         /* base colour with texture and vertex colour */
     float metallic, alpha; /* alpha: GGX width (roughness^2); below LUM_SMOOTH the surface is specular (delta) */
+    float ior; /* the material's; a tracer that follows one wavelength puts that one's index here */
     float transmission, diffuse_transmission;
     float coverage;    /* [0,1]: share of light that meets the surface at all (alpha mask / blend); the tracer decides by chance */
     float emission[3]; /* cd/m2 towards the side of wi, zero on dark sides */
@@ -111,6 +112,7 @@ double lum_emitters_flux(const lum_emitters *emitters, double rgb[3]);
 typedef struct lum_photon {
     lmg_vec3 origin, direction; /* model frame minus centre */
     float flux[3];
+    int32_t material; /* of the emitting surface, LUM_NONE for lights */
 } lum_photon;
 void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], double (*next)(void *state), void *state,
                          lum_photon *out);
