@@ -4,8 +4,8 @@
 
 #include "bake.h"
 #include "compare.h"
+#include "open_source.h"
 
-#include <luminaires/model.h>
 #include <luminaires/rng.h>
 
 #include <errno.h>
@@ -31,7 +31,7 @@ enum {
 };
 
 static const struct argp_option OPTIONS[] = {
-    {"photons", KEY_PHOTONS, "N", 0, "rays from each (default 2e7)", 1},
+    {"photons", KEY_PHOTONS, "N", 0, "rays from each (default 2e7; of a ray file as many as it has)", 1},
     {"distances", KEY_DISTANCES, "LIST", 0, "of the planes, in sizes of the lamp (default 0.5,1,2,5)", 1},
     {"size", KEY_SIZE, "M", 0, "the lamp's size in metres (default: the luminous opening's diagonal)", 1},
     {"flux", KEY_FLUX, "LM", 0, "what the sources of glTF lamps emit, as in bake", 2},
@@ -46,7 +46,7 @@ static const struct argp_option OPTIONS[] = {
     {0},
 };
 
-static const char DOC[] = "Lights the same receivers with A and B, each a lamp (.gltf, .glb) or a box, and says how much they "
+static const char DOC[] = "Lights the same receivers with A and B, each a lamp (.gltf, .glb), a box or a ray file, and says how much they "
                           "differ: flux, illuminance on "
                           "planes of 32 x 32 pixels across the lamp's main axis, far-field intensity. A is judged against B."
                           "\v'RMS' is the relative RMS difference with the noise of both sides taken out.\n"
@@ -55,10 +55,7 @@ static const char DOC[] = "Lights the same receivers with A and B, each a lamp (
 /* One of the two things to compare, as a source of rays. */
 typedef struct side {
     lamp_options lamp;
-    bool is_box;
-    lmg_field *field;
-    lum_model *model;
-    bake_source *source;
+    opened_source opened;
 } side;
 
 typedef struct command {
@@ -137,52 +134,12 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case ARGP_KEY_END:
         if (c->side_count < 2)
-            usage_error(state, "what with what? give two files: .gltf, .glb or .box.exr");
+            usage_error(state, "what with what? give two files: .gltf, .glb, .box.exr or rays");
         break;
     default:
         return ARGP_ERR_UNKNOWN;
     }
     return 0;
-}
-
-static bool has_suffix(const char *text, const char *suffix)
-{
-    const size_t n = strlen(text), m = strlen(suffix);
-    return n >= m && !strcmp(text + n - m, suffix);
-}
-
-static lmg_result open_side(side *s, const command *c, uint64_t seed, lmg_error *err)
-{
-    s->is_box = !has_suffix(s->lamp.path, ".gltf") && !has_suffix(s->lamp.path, ".glb");
-    lmg_error inner = {{0}};
-    lmg_result result;
-    if (s->is_box) {
-        result = lmg_field_read(s->lamp.path, &s->field, err);
-        if (result != LMG_OK)
-            return result;
-        result = bake_box_source_create(s->field, seed, &s->source, &inner);
-        return result == LMG_OK ? result : lmg_fail(err, result, "%s: %.400s", s->lamp.path, inner.message);
-    }
-    char *text, used[1024];
-    s->lamp.no_recipe = c->no_recipe;
-    result = lamp_load(&s->lamp, &s->model, &text, used, err);
-    free(text);
-    if (result != LMG_OK)
-        return result;
-    if (used[0] && !s->lamp.recipe_path)
-        fprintf(stderr, "using the recipe %s\n", used);
-    result = bake_tracer_create(s->model, seed, &s->source, err);
-    if (result == LMG_OK && c->flux_lm > 0)
-        s->source->flux = c->flux_lm;
-    return result;
-}
-
-static void close_side(side *s)
-{
-    if (s->source)
-        s->source->destroy(s->source);
-    lum_model_destroy(s->model);
-    lmg_field_destroy(s->field);
 }
 
 static json_t *difference_json(const bake_difference *d)
@@ -239,17 +196,25 @@ static void print_comparison(const command *c, const bake_comparison *r)
 static lmg_result compare(command *c, bake_comparison *r, lmg_error *err)
 {
     lmg_result result = LMG_OK;
-    for (int s = 0; result == LMG_OK && s < 2; ++s) /* seeds of their own, apart from a bake's with the same number */
-        result = open_side(&c->sides[s], c, lum_mix64(c->seed + (s ? 0x62 : 0x61)), err);
+    for (int s = 0; result == LMG_OK && s < 2; ++s) { /* seeds of their own, apart from a bake's with the same number */
+        const source_options options = {
+            .flux_lm = c->flux_lm, .seed = lum_mix64(c->seed + (s ? 0x62 : 0x61)), .threads = c->options.threads};
+        c->sides[s].lamp.no_recipe = c->no_recipe;
+        result = open_source(&c->sides[s].lamp, &options, &c->sides[s].opened, err);
+    }
     if (result != LMG_OK)
         return result;
+    const opened_source *a = &c->sides[0].opened, *b = &c->sides[1].opened;
+    if (a->photometric != b->photometric)
+        return lmg_fail(err, LMG_ERROR_INPUT, "%s is in lumens, %s in watts: they can't be compared", a->photometric ? a->path : b->path,
+                        a->photometric ? b->path : a->path);
     for (int s = 1; s >= 0 && !(c->options.size > 0); --s)
-        if (c->sides[s].is_box)
-            c->options.size = lmg_field_layout(c->sides[s].field)->size;
+        if (c->sides[s].opened.field)
+            c->options.size = lmg_field_layout(c->sides[s].opened.field)->size;
     if (!(c->options.size > 0))
-        result = bake_source_size(c->sides[1].source, c->options.threads, &c->options.size, err);
+        result = bake_source_size(b->source, c->options.threads, &c->options.size, err);
     if (result == LMG_OK)
-        result = bake_compare(c->sides[0].source, c->sides[1].source, &c->options, r, err);
+        result = bake_compare(a->source, b->source, &c->options, r, err);
     return result;
 }
 
@@ -276,7 +241,7 @@ int cmd_compare(int argc, char **argv)
             code = report_failure(&err);
         }
     }
-    close_side(&c.sides[0]);
-    close_side(&c.sides[1]);
+    close_source(&c.sides[0].opened);
+    close_source(&c.sides[1].opened);
     return code;
 }

@@ -211,7 +211,7 @@ lmg_result bake_compare(bake_source *a, bake_source *b, const bake_compare_optio
     bake_source *const sources[2] = {a, b};
     receivers sides[2] = {{0}, {0}};
     double lumens_per_unit[2];
-    const uint64_t photons = options->photons ? options->photons : DEFAULT_PHOTONS;
+    const uint64_t wanted = options->photons ? options->photons : DEFAULT_PHOTONS;
     for (int s = 0; result == LMG_OK && s < 2; ++s) {
         result = create(&sides[s], planes, options->distance_count, out->axis, err);
         if (result != LMG_OK)
@@ -221,6 +221,7 @@ lmg_result bake_compare(bake_source *a, bake_source *b, const bake_compare_optio
             sinks[i] = bake_receiver_sink(sides[s].list[i]);
         const double began = bake_clock();
         bake_tally *t = &out->tally[s];
+        const uint64_t has = sources[s]->photons, photons = has && has < wanted ? has : wanted;
         result = sources[s]->run(sources[s], 0, photons, options->threads, sinks, sides[s].count, t, err);
         out->seconds[s] = bake_clock() - began;
         lumens_per_unit[s] = sources[s]->flux / (double)photons;

@@ -20,7 +20,7 @@ typedef struct bake_difference {
 bake_difference bake_differ(const double *a, const double *a_se, const double *b, const double *b_se, size_t count);
 
 typedef struct bake_compare_options {
-    uint64_t photons; /* per source; 0 = 20 million */
+    uint64_t photons; /* per source, or as many as it has; 0 = 20 million */
     unsigned threads; /* 0 = all cores */
     double size;      /* the luminaire's size, metres, > 0: the unit of distances */
     size_t distance_count;

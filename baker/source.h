@@ -24,6 +24,7 @@ struct bake_source {
                       size_t sink_count, bake_tally *tally, lmg_error *err);
     void (*destroy)(bake_source *source);
     double flux;                     /* lumens emitted, so that lumens_per_unit = flux / photons */
+    uint64_t photons;                /* that it has, from number 0 on: the rays of a file; 0 = as many as are asked for */
     double flux_se;                  /* its standard error: of a box, from the box's own bake; 0 where it is known */
     lmg_vec3 bounds_min, bounds_max; /* luminaire frame, metres */
 };
@@ -36,5 +37,12 @@ lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake
 
 /* Rays emitted by a baked box, borrowed until destroy. */
 lmg_result bake_box_source_create(const lmg_field *field, uint64_t seed, bake_source **out, lmg_error *err);
+
+/* Rays of a file, borrowed until destroy: photon n is ray n, photons from BAKE_PILOT_FIRST on are rays from all over the file.  The
+ * whole file is read once, on `threads` threads (0 = all cores), and its every ray checked.  A unit is the mean flux of a ray; flux is
+ * in lumens or watts as lum_rayfile_info says.  Errors: those of lum_ray_reader_read, LMG_ERROR_INPUT when the rays carry no light. */
+struct lum_rayfile;
+lmg_result bake_rayfile_source_create(const struct lum_rayfile *file, uint64_t seed, unsigned threads, bake_source **out,
+                                      lmg_error *err);
 
 #endif

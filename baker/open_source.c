@@ -1,0 +1,100 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Sources of light by path. */
+#include "open_source.h"
+
+#include <luminaires/model.h>
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static bool has_suffix(const char *text, const char *suffix)
+{
+    const size_t n = strlen(text), m = strlen(suffix);
+    return n >= m && !strcmp(text + n - m, suffix);
+}
+
+source_kind source_kind_of(const char *path)
+{
+    if (has_suffix(path, ".gltf") || has_suffix(path, ".glb"))
+        return SOURCE_LAMP;
+    /* a name that promises rays is opened as rays, so that a damaged file is called a damaged ray file */
+    if (lum_ray_format_of_file(path) != LUM_RAYS_NONE || lum_ray_format_of_name(path) != LUM_RAYS_NONE)
+        return SOURCE_RAYS;
+    return SOURCE_BOX;
+}
+
+static lmg_result open_lamp(const lamp_options *lamp, const source_options *options, opened_source *s, lmg_error *err)
+{
+    char used[1024];
+    lmg_result result = lamp_load(lamp, &s->model, &s->recipe, used, err);
+    if (result != LMG_OK)
+        return result;
+    if (used[0] && !lamp->recipe_path && !options->quiet)
+        fprintf(stderr, "using the recipe %s\n", used);
+    result = bake_tracer_create(s->model, options->seed, &s->source, err);
+    if (result == LMG_OK && options->flux_lm > 0)
+        s->source->flux = options->flux_lm;
+    return result;
+}
+
+static lmg_result open_rays(const source_options *options, opened_source *s, lmg_error *err)
+{
+    lmg_result result = lum_rayfile_open(s->path, options->rays, &s->rays, err);
+    if (result != LMG_OK)
+        return result;
+    s->photometric = lum_rayfile_info(s->rays)->photometric;
+    for (size_t i = 0; !options->quiet && lum_rayfile_remark(s->rays, i); ++i)
+        fprintf(stderr, "note: %s: %s\n", s->path, lum_rayfile_remark(s->rays, i));
+    lmg_error inner = {{0}};
+    result = bake_rayfile_source_create(s->rays, options->seed, options->threads, &s->source, &inner);
+    if (result == LMG_OK)
+        return result;
+    /* the reader's messages begin with the path already */
+    const size_t n = strlen(s->path);
+    return !strncmp(inner.message, s->path, n) ? lmg_fail(err, result, "%.500s", inner.message)
+                                               : lmg_fail(err, result, "%s: %.400s", s->path, inner.message);
+}
+
+static lmg_result open_box(const source_options *options, opened_source *s, lmg_error *err)
+{
+    lmg_result result = lmg_field_read(s->path, &s->field, err);
+    if (result != LMG_OK)
+        return result;
+    const char *quantity = lmg_field_get_text(s->field, "quantity");
+    s->photometric = !quantity || strcmp(quantity, "radiant") != 0;
+    lmg_error inner = {{0}};
+    result = bake_box_source_create(s->field, options->seed, &s->source, &inner);
+    return result == LMG_OK ? result : lmg_fail(err, result, "%s: %.400s", s->path, inner.message);
+}
+
+lmg_result open_source(const lamp_options *lamp, const source_options *options, opened_source *out, lmg_error *err)
+{
+    *out = (opened_source){.kind = source_kind_of(lamp->path), .path = lamp->path, .photometric = true};
+    lmg_result result = LMG_ERROR_INTERNAL;
+    switch (out->kind) {
+    case SOURCE_LAMP:
+        result = open_lamp(lamp, options, out, err);
+        break;
+    case SOURCE_RAYS:
+        result = open_rays(options, out, err);
+        break;
+    case SOURCE_BOX:
+        result = open_box(options, out, err);
+        break;
+    }
+    if (result != LMG_OK)
+        close_source(out);
+    return result;
+}
+
+void close_source(opened_source *s)
+{
+    if (s->source)
+        s->source->destroy(s->source);
+    lum_rayfile_close(s->rays);
+    lum_model_destroy(s->model);
+    lmg_field_destroy(s->field);
+    free(s->recipe);
+    *s = (opened_source){0};
+}
