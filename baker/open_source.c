@@ -4,9 +4,13 @@
 
 #include <luminaires/model.h>
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+
+/* A header's total is told of when it is off by more than what rounding to two or three digits does. */
+static const double HEADER_SLACK = 0.005;
 
 static bool has_suffix(const char *text, const char *suffix)
 {
@@ -48,8 +52,14 @@ static lmg_result open_rays(const source_options *options, opened_source *s, lmg
         fprintf(stderr, "note: %s: %s\n", s->path, lum_rayfile_remark(s->rays, i));
     lmg_error inner = {{0}};
     result = bake_rayfile_source_create(s->rays, options->seed, options->threads, &s->source, &inner);
-    if (result == LMG_OK)
+    if (result == LMG_OK) {
+        const lum_ray_info *info = lum_rayfile_info(s->rays);
+        const double told = info->photometric ? info->luminous_lm : info->radiant_W;
+        if (!options->quiet && fabs(told - s->source->flux) > HEADER_SLACK * s->source->flux)
+            fprintf(stderr, "note: %s: its header tells of %.6g %s, its rays add up to %.6g: the rays count\n", s->path, told,
+                    info->photometric ? "lm" : "W", s->source->flux);
         return result;
+    }
     /* the reader's messages begin with the path already */
     const size_t n = strlen(s->path);
     return !strncmp(inner.message, s->path, n) ? lmg_fail(err, result, "%.500s", inner.message)

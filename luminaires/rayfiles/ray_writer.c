@@ -3,6 +3,8 @@
  * mkstemp and rename: a name never holds half a file. */
 #include "rayfile_inside.h"
 
+#include <luminaires/spectrum.h>
+
 #include <errno.h>
 #include <inttypes.h>
 #include <math.h>
@@ -260,11 +262,10 @@ static int columns_of(lum_ray_writer *w, const lmg_ray *ray, double scale, float
     if (o->wavelength)
         v[n++] = (float)(zemax ? 1e-3 * nm : nm);
     if (o->tristimulus) {
-        /* Rec.709 primaries and D65 (ITU-R BT.709): rows X and Z of the matrix whose row Y is the luminance. */
-        const double x = 0.4123908 * rgb[0] + 0.3575843 * rgb[1] + 0.1804808 * rgb[2];
-        const double z = 0.0193308 * rgb[0] + 0.1191948 * rgb[1] + 0.9505322 * rgb[2];
-        v[n++] = (float)fmax(x * scale, 0);
-        v[n++] = (float)fmax(z * scale, 0);
+        double xyz[3];
+        lum_rgb_to_xyz(rgb, xyz);
+        v[n++] = (float)fmax(xyz[0] * scale, 0);
+        v[n++] = (float)fmax(xyz[2] * scale, 0);
     }
     w->total += (double)v[6];
     return n;

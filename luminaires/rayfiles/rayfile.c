@@ -16,8 +16,10 @@
 /* A direction's length may be off by so much before the record is taken for damaged: files in use are good to 1e-4, texts with few
  * digits to 1e-3; what isn't a direction at all is within these bounds by chance only. */
 static const double DIRECTION_SLACK = 0.02;
-/* Below this a flux is no flux: the smallest that a file could mean is a photon's energy, 1e-19 J. */
-static const float LEAST_FLUX = 1e-30f;
+/* Below and above these a flux is no flux: the smallest that a file could mean is a photon's energy, 1e-19 J; the sun gives 4e26 W. */
+static const float LEAST_FLUX = 1e-30f, MOST_FLUX = 1e30f;
+/* X/Y and Z/Y beyond this aren't those of a light; of the deepest violet they are 33 and 155. */
+static const double MOST_COLOUR = 1e6;
 
 const char *lum_ray_format_name(lum_ray_format format)
 {
@@ -377,7 +379,7 @@ static lmg_result describe(const lum_rayfile *file, const uint8_t *record, uint6
                         "%s: ray %" PRIu64 ": its direction has length %.4g, not 1; the file is damaged or its columns are others",
                         file->name, number + 1, length);
     const float flux = ray_f32(record + 4 * file->flux_column);
-    if (flux < 0)
+    if (flux < 0 || flux > MOST_FLUX)
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: ray %" PRIu64 ": a flux of %g", file->name, number + 1, (double)flux);
     return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: ray %" PRIu64 ": its colour, wavelength or spectrum can't be", file->name,
                     number + 1);
@@ -415,7 +417,7 @@ static bool own_colour(const lum_rayfile *file, const uint8_t *record, double *w
     if (c->x >= 0 && file->own_colours) {
         const double y = (double)ray_f32(record + 4 * c->luminous), x = (double)ray_f32(record + 4 * c->x);
         const double z = (double)ray_f32(record + 4 * c->z);
-        if (!isfinite(x) || !isfinite(z) || x < 0 || z < 0)
+        if (!(x >= 0 && x <= MOST_COLOUR * y) || !(z >= 0 && z <= MOST_COLOUR * y))
             return false;
         if (y > 0)
             lum_ray_rgb(x / y, z / y, rgb);
@@ -446,7 +448,7 @@ static size_t decode(const lum_rayfile *file, const uint8_t *records, size_t cou
         const double d2 = dx * dx + dy * dy + dz * dz;
         /* 0 x infinity and 0 x NaN aren't 0: one test for three positions */
         const bool good = d2 >= low && d2 <= high && 0 * (px + py + pz) == 0 &&
-                          (stored >= LEAST_FLUX ? stored <= 3.4e38f : stored >= 0 && !lum_ray_unknown(stored));
+                          (stored >= LEAST_FLUX ? stored <= MOST_FLUX : stored >= 0 && !lum_ray_unknown(stored));
         if (!good)
             return i;
         const double e = d2 - 1;
