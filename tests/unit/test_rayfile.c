@@ -458,7 +458,7 @@ static uint8_t *written(lum_ray_format format, bool photometric, bool wavelength
     for (uint32_t i = 0; i < RAYS; ++i) {
         float k[3];
         tm25_direction(i, k);
-        const lmg_ray ray = {.origin = {1e-3 * i, 0, 0}, .direction = {(double)k[0], (double)k[1], (double)k[2]}, .flux = {1, 1, 1}, .wavelength = 555};
+        const lmg_ray ray = {.origin = {1e-3 * i + 0.12345, 0, 0}, .direction = {(double)k[0], (double)k[1], (double)k[2]}, .flux = {1, 1, 1}, .wavelength = 555};
         assert_int_equal(lum_ray_writer_append(w, &ray, 1, 1, &err), LMG_OK);
     }
     assert_int_equal(lum_ray_writer_finish(w, NULL, &err), LMG_OK);
@@ -522,9 +522,9 @@ static void bad_others(void **state)
         refused(bytes, n, ""); /* cut in a line of its header it misses a value */
     refused(bytes, size - 2, "cut off");
     char *line = strstr((char *)bytes, "lt_startofdata\n") + strlen("lt_startofdata\n");
-    memcpy(line, "nan", 3);
+    memcpy(line, "nan 0 0 0 0 1 1\n#", 17); /* the rest of its line becomes a comment */
     refused(bytes, size, "ray 1: its position isn't a number");
-    memcpy(line, "abc", 3);
+    memcpy(line, "abc 0 0 0 0 1 1\n#", 17);
     refused(bytes, size, "ray 1: its line holds other things");
     free(bytes);
 
