@@ -85,19 +85,6 @@ typedef struct command {
     double last_line;
 } command;
 
-static void parse_resolution(struct argp_state *state, const char *text, uint32_t resolution[4])
-{
-    unsigned long v[4];
-    char extra;
-    if (sscanf(text, "%lu,%lu,%lu,%lu%c", &v[0], &v[1], &v[2], &v[3], &extra) != 4 || strchr(text, '-'))
-        usage_error(state, "--resolution: '%s' is not four numbers such as 32,32,64,64", text);
-    for (int i = 0; i < 4; ++i) {
-        if (v[i] > 65535)
-            usage_error(state, "--resolution: %lu is beyond 65535", v[i]);
-        resolution[i] = (uint32_t)v[i];
-    }
-}
-
 static void parse_share(struct argp_state *state, const char *text, command *c)
 {
     /* 2^52 photons times 1024 fit 64 bits */
@@ -162,20 +149,13 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         c->lamp.sets[c->lamp.set_count++] = arg;
         break;
     case KEY_LAYOUT:
-        if (!strcmp(arg, "auto"))
-            c->bake.fit.choice = LMG_LAYOUT_AUTO;
-        else if (!strcmp(arg, "cube"))
-            c->bake.fit.choice = LMG_LAYOUT_CUBE;
-        else if (!strcmp(arg, "aperture"))
-            c->bake.fit.choice = LMG_LAYOUT_APERTURE;
-        else
-            usage_error(state, "--layout: '%s' is not auto, cube or aperture", arg);
+        c->bake.fit.choice = argument_layout(state, arg);
         break;
     case KEY_CELLS:
         c->bake.fit.cells = argument_count(state, "--cells", arg, 1000, UINT64_C(1) << 32);
         break;
     case KEY_RESOLUTION:
-        parse_resolution(state, arg, c->bake.fit.resolution);
+        argument_resolution(state, arg, c->bake.fit.resolution);
         break;
     case KEY_PILOT:
         c->bake.pilot_photons = argument_count(state, "--pilot", arg, 1, 100000000);

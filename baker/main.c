@@ -17,6 +17,7 @@ static const struct {
     {"probe", "measure in a box's light: illuminance, luminance, intensity", cmd_probe},
     {"merge", "parts of one bake, from several runs or machines, into its box", cmd_merge},
     {"compare", "two lamps or boxes on the same receivers: how much they differ", cmd_compare},
+    {"convert", "light from one form into another: ray files, boxes", cmd_convert},
 };
 enum { COMMAND_COUNT = sizeof(COMMANDS) / sizeof(COMMANDS[0]) };
 

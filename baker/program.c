@@ -113,6 +113,28 @@ double argument_lumens(const struct argp_state *state, const char *option, const
 
 /* ------------------------------------------------------------------------------------------------------------- output */
 
+lmg_layout_choice argument_layout(const struct argp_state *state, const char *text)
+{
+    static const char *const KINDS[] = {"auto", "cube", "aperture"};
+    for (int i = 0; i < 3; ++i)
+        if (!strcmp(text, KINDS[i]))
+            return (lmg_layout_choice)i;
+    usage_error(state, "--layout: '%s' is not auto, cube or aperture", text);
+}
+
+void argument_resolution(const struct argp_state *state, const char *text, uint32_t resolution[4])
+{
+    unsigned long v[4];
+    char extra;
+    if (sscanf(text, "%lu,%lu,%lu,%lu%c", &v[0], &v[1], &v[2], &v[3], &extra) != 4 || strchr(text, '-'))
+        usage_error(state, "--resolution: '%s' is not four numbers such as 32,32,64,64", text);
+    for (int i = 0; i < 4; ++i) {
+        if (v[i] > 65535)
+            usage_error(state, "--resolution: %lu is beyond 65535", v[i]);
+        resolution[i] = (uint32_t)v[i];
+    }
+}
+
 lmg_result check_output(const char *output, const char *const *inputs, size_t count, lmg_error *err)
 {
     struct stat in, out;

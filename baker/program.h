@@ -19,6 +19,7 @@ int cmd_bake(int argc, char **argv);
 int cmd_info(int argc, char **argv);
 int cmd_probe(int argc, char **argv);
 int cmd_compare(int argc, char **argv);
+int cmd_convert(int argc, char **argv);
 int cmd_merge(int argc, char **argv);
 
 /* Prints "error: message" as one line to stderr and returns the exit code that the result stands for when it came from reading or
@@ -36,6 +37,8 @@ uint64_t argument_count(const struct argp_state *state, const char *option, cons
                         uint64_t most);                                                        /* "1e8" */
 double argument_seconds(const struct argp_state *state, const char *option, const char *text); /* "90s" "2m" "1h" */
 double argument_lumens(const struct argp_state *state, const char *option, const char *text);  /* "800lm" */
+lmg_layout_choice argument_layout(const struct argp_state *state, const char *text);           /* --layout "cube" */
+void argument_resolution(const struct argp_state *state, const char *text, uint32_t resolution[4]); /* --resolution "32,32,0,0" */
 
 /* Whether output can be written, asked before anything costly is done: its folder takes files, it is no folder itself and none of the
  * inputs. */

@@ -1,0 +1,341 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* lumibake convert: light from one form into another.  Options, kinds of files, the report; the work is in convert.c. */
+#include "program.h"
+
+#include "convert.h"
+#include "open_source.h"
+
+#include <luminaires/rng.h>
+
+#include <errno.h>
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum {
+    KEY_TO = 256,
+    KEY_RAYS,
+    KEY_RADIOMETRIC,
+    KEY_CELLS,
+    KEY_LAYOUT,
+    KEY_RESOLUTION,
+    KEY_FLUX,
+    KEY_RECIPE,
+    KEY_NO_RECIPE,
+    KEY_SET,
+    KEY_SEED,
+    KEY_THREADS,
+    KEY_JSON
+};
+
+static const struct argp_option OPTIONS[] = {
+    {"to", KEY_TO, "KIND", 0, "what B is to be, when its name doesn't say: box, tm25, zemax, zemax-text, lighttools, lighttools-text", 1},
+    {"rays", KEY_RAYS, "N", 0, "rays to take (default: all of a ray file, else 1e7)", 1},
+    {"radiometric", KEY_RADIOMETRIC, 0, 0, "watts of a ray file as they are, no lumens", 1},
+    {"cells", KEY_CELLS, "N", 0, "size of a box in cells (default: by the number of rays)", 2},
+    {"layout", KEY_LAYOUT, "KIND", 0, "of a box: auto, cube or aperture (default auto)", 2},
+    {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 2},
+    {"flux", KEY_FLUX, "LM", 0, "what the sources of a glTF lamp emit, as in bake", 3},
+    {"recipe", KEY_RECIPE, "FILE", 0, "lamp recipe, as in bake", 3},
+    {"no-recipe", KEY_NO_RECIPE, 0, 0, "don't look for a recipe beside the lamp", 3},
+    {"set", KEY_SET, "ENTRY", 0, "recipe entry (repeatable)", 3},
+    {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 4},
+    {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 4},
+    {"quiet", 'q', 0, 0, "no remarks, no summary", 5},
+    {"json", KEY_JSON, 0, 0, "summary as JSON", 5},
+    {0},
+};
+
+static const char DOC[] = "Turns A into B: a ray file into a box, a box or a lamp (.gltf, .glb) into a ray file, a ray file into another. Says "
+                          "what flux went in, what came out, and what was lost on the way."
+                          "\vKinds by name: .box.exr, .tm25ray (IES TM-25), .dat (Zemax), .ray (LightTools).\n"
+                          "Example:\n  lumibake convert led.tm25ray led.box.exr";
+
+/* What B can be. */
+typedef enum target_kind { TO_NONE, TO_BOX, TO_RAYS } target_kind;
+
+typedef struct command {
+    lamp_options lamp;
+    const char *output;
+    target_kind to;
+    lum_ray_format format; /* of a ray file */
+    bool radiometric, quiet, json;
+    double flux_lm;
+    uint64_t seed;
+    bake_convert_options options;
+} command;
+
+static void parse_to(struct argp_state *state, const char *text, command *c)
+{
+    static const struct {
+        const char *name;
+        target_kind to;
+        lum_ray_format format;
+    } KINDS[] = {
+        {"box", TO_BOX, LUM_RAYS_NONE},
+        {"tm25", TO_RAYS, LUM_RAYS_TM25},
+        {"zemax", TO_RAYS, LUM_RAYS_ZEMAX},
+        {"zemax-text", TO_RAYS, LUM_RAYS_ZEMAX_TEXT},
+        {"lighttools", TO_RAYS, LUM_RAYS_LIGHTTOOLS},
+        {"lighttools-text", TO_RAYS, LUM_RAYS_LIGHTTOOLS_TEXT},
+    };
+    for (size_t i = 0; i < sizeof(KINDS) / sizeof(KINDS[0]); ++i)
+        if (!strcmp(text, KINDS[i].name)) {
+            c->to = KINDS[i].to;
+            c->format = KINDS[i].format;
+            return;
+        }
+    usage_error(state, "--to: '%s' is none of box, tm25, zemax, zemax-text, lighttools, lighttools-text", text);
+}
+
+/* The kind of B from its name. */
+static void choose_target(command *c)
+{
+    const size_t n = strlen(c->output);
+    c->format = lum_ray_format_of_name(c->output);
+    if (c->format != LUM_RAYS_NONE)
+        c->to = TO_RAYS;
+    else if (n >= 4 && !strcmp(c->output + n - 4, ".exr"))
+        c->to = TO_BOX;
+}
+
+static error_t parse(int key, char *arg, struct argp_state *state)
+{
+    command *c = state->input;
+    switch (key) {
+    case KEY_TO:
+        parse_to(state, arg, c);
+        break;
+    case KEY_RAYS:
+        c->options.rays = argument_count(state, "--rays", arg, 1, UINT64_C(1) << 52);
+        break;
+    case KEY_RADIOMETRIC:
+        c->radiometric = true;
+        break;
+    case KEY_CELLS:
+        c->options.fit.cells = argument_count(state, "--cells", arg, 1000, UINT64_C(1) << 32);
+        break;
+    case KEY_LAYOUT:
+        c->options.fit.choice = argument_layout(state, arg);
+        break;
+    case KEY_RESOLUTION:
+        argument_resolution(state, arg, c->options.fit.resolution);
+        break;
+    case KEY_FLUX:
+        c->flux_lm = argument_lumens(state, "--flux", arg);
+        break;
+    case KEY_RECIPE:
+        c->lamp.recipe_path = arg;
+        break;
+    case KEY_NO_RECIPE:
+        c->lamp.no_recipe = true;
+        break;
+    case KEY_SET:
+        if (c->lamp.set_count == sizeof(c->lamp.sets) / sizeof(c->lamp.sets[0]))
+            usage_error(state, "--set: more than %zu entries; write a recipe file", c->lamp.set_count);
+        c->lamp.sets[c->lamp.set_count++] = arg;
+        break;
+    case KEY_SEED:
+        c->seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
+        break;
+    case KEY_THREADS:
+        c->options.threads = (unsigned)argument_count(state, "--threads", arg, 1, 1024);
+        break;
+    case 'q':
+        c->quiet = true;
+        break;
+    case KEY_JSON:
+        c->json = true;
+        break;
+    case ARGP_KEY_ARG:
+        if (c->output)
+            usage_error(state, "'%s': from A to B, not more", arg);
+        *(c->lamp.path ? &c->output : &c->lamp.path) = arg;
+        break;
+    case ARGP_KEY_END:
+        if (!c->output)
+            usage_error(state, "what into what? give A and B");
+        if (c->to == TO_NONE)
+            choose_target(c);
+        if (c->to == TO_NONE)
+            usage_error(state, "%s: its name doesn't say what it is to be; give --to KIND", c->output);
+        if (c->lamp.recipe_path && c->lamp.no_recipe)
+            usage_error(state, "--recipe and --no-recipe exclude each other");
+        break;
+    default:
+        return ARGP_ERR_UNKNOWN;
+    }
+    return 0;
+}
+
+static const char *base_name(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    return slash ? slash + 1 : path;
+}
+
+static const char *kind_name(const command *c, const opened_source *a, bool input)
+{
+    if (!input)
+        return c->to == TO_BOX ? "box" : lum_ray_format_name(c->format);
+    return a->kind == SOURCE_LAMP ? "glTF lamp" : a->kind == SOURCE_BOX ? "box" : lum_ray_format_name(lum_rayfile_info(a->rays)->format);
+}
+
+/* -------------------------------------------------------------------------------------------------------------- arrows */
+
+static lmg_result describe_box(const command *c, const opened_source *a, const bake_conversion *r, lmg_field *field, lmg_error *err)
+{
+    char rays[32], origin[512];
+    snprintf(rays, sizeof(rays), "%" PRIu64, r->photons);
+    snprintf(origin, sizeof(origin), "%.300s (%s)", base_name(a->path), kind_name(c, a, true));
+    const struct {
+        const char *name, *value;
+    } texts[] = {
+        {"software", "lumibake " LMG_VERSION_STRING},
+        {"source", origin},
+        {"rays", rays},
+        {"layout_why", r->layout_why},
+        {"quantity", a->photometric ? NULL : "radiant"}, /* all "lumens" of this box are watts */
+    };
+    lmg_result result = LMG_OK;
+    for (size_t i = 0; result == LMG_OK && i < sizeof(texts) / sizeof(texts[0]); ++i)
+        if (texts[i].value)
+            result = lmg_field_set_text(field, texts[i].name, texts[i].value, err);
+    /* what the maker of the rays says of them */
+    static const char *const NAMES[LUM_RAY_TEXTS] = {"ray_source",    "ray_manufacturer", "ray_model_creator", "ray_file_creator", "ray_equipment",
+                                                     "ray_camera",    "ray_operation",    "ray_remarks",       "ray_reference"};
+    for (int i = 0; result == LMG_OK && a->rays && i < LUM_RAY_TEXTS; ++i)
+        if (lum_rayfile_info(a->rays)->texts[i][0])
+            result = lmg_field_set_text(field, NAMES[i], lum_rayfile_info(a->rays)->texts[i], err);
+    return result;
+}
+
+static lmg_result to_box(const command *c, const opened_source *a, bake_conversion *r, lmg_error *err)
+{
+    lmg_field *field;
+    lmg_result result = bake_convert_to_field(a->source, &c->options, &field, r, err);
+    if (result == LMG_OK)
+        result = describe_box(c, a, r, field, err);
+    if (result == LMG_OK)
+        result = lmg_field_write(field, c->output, err);
+    lmg_field_destroy(field);
+    return result;
+}
+
+/* Whether rays have colours worth keeping. */
+static bool has_colours(const opened_source *a)
+{
+    float rgb[3] = {1, 1, 1};
+    if (a->rays)
+        return !lum_rayfile_colour(a->rays, rgb) || rgb[0] != rgb[1] || rgb[1] != rgb[2];
+    if (!a->field)
+        return true;
+    const lmg_layout *layout = lmg_field_layout(a->field);
+    return layout->channels == 3 || layout->colour[0] != layout->colour[1] || layout->colour[1] != layout->colour[2];
+}
+
+static lmg_result to_rays(const command *c, const opened_source *a, bake_conversion *r, lmg_error *err)
+{
+    const bool lighttools = c->format == LUM_RAYS_LIGHTTOOLS || c->format == LUM_RAYS_LIGHTTOOLS_TEXT;
+    const lum_ray_info *info = a->rays ? lum_rayfile_info(a->rays) : NULL;
+    const bool wavelength = info && info->has_wavelength && (lighttools || !a->photometric);
+    const bool colours = a->photometric && !wavelength && has_colours(a);
+    const lum_ray_writer_options writer = {
+        .format = c->format,
+        .photometric = a->photometric,
+        .wavelength = wavelength,
+        .tristimulus = colours && c->format == LUM_RAYS_TM25,
+        .source = info && info->texts[0][0] ? info->texts[0] : base_name(a->path),
+        .software = "lumibake " LMG_VERSION_STRING,
+        .remarks = info ? info->texts[7] : NULL,
+    };
+    if (!c->quiet && colours && !writer.tristimulus)
+        fprintf(stderr, "note: %s: %s files can't hold colours; flux only\n", c->output, lum_ray_format_name(c->format));
+    if (!c->quiet && info && info->spectra && writer.tristimulus)
+        fprintf(stderr, "note: %s: spectra become tristimulus values\n", c->output);
+    return bake_convert_to_rays(a->source, &c->options, c->output, &writer, r, err);
+}
+
+static lmg_result convert(command *c, opened_source *a, bake_conversion *r, lmg_error *err)
+{
+    const source_kind kind = source_kind_of(c->lamp.path);
+    if (c->to == TO_BOX && kind == SOURCE_LAMP)
+        return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "%s: a lamp becomes a box by 'lumibake bake'", c->lamp.path);
+    if (c->to == TO_BOX && kind == SOURCE_BOX)
+        return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "%s: isn't a ray file, and a box is a box already", c->lamp.path);
+    const source_options options = {
+        .flux_lm = c->flux_lm,
+        .rays = c->radiometric ? LUM_RAY_POWER : c->to == TO_RAYS ? LUM_RAY_STORED : LUM_RAY_LIGHT,
+        .seed = lum_mix64(c->seed + 0x63), /* apart from a bake's with the same number */
+        .threads = c->options.threads,
+        .quiet = c->quiet,
+    };
+    const lmg_result result = open_source(&c->lamp, &options, a, err);
+    if (result != LMG_OK)
+        return result;
+    return c->to == TO_BOX ? to_box(c, a, r, err) : to_rays(c, a, r, err);
+}
+
+/* -------------------------------------------------------------------------------------------------------------- report */
+
+static json_t *report_json(const command *c, const opened_source *a, const bake_conversion *r)
+{
+    json_t *o = json_pack("{s:s, s:{s:s, s:s}, s:{s:s, s:s}, s:s, s:I, s:I, s:o, s:o, s:o, s:o, s:f}", "format", "lumibake convert 1", "from",
+                          "path", a->path, "kind", kind_name(c, a, true), "to", "path", c->output, "kind", kind_name(c, a, false), "unit",
+                          a->photometric ? "lm" : "W", "photons", (json_int_t)r->photons, "rays", (json_int_t)r->rays, "flux_in",
+                          json_number(r->flux_in), "flux_out", json_number(r->flux_out), "flux_out_standard_error", json_number(r->out_se),
+                          "loss", json_number((r->flux_in - r->flux_out) / r->flux_in), "seconds", r->seconds);
+    if (c->to == TO_BOX) {
+        json_object_set_new(o, "residual", json_number(r->residual));
+        json_object_set_new(o, "refused_rays", json_integer((json_int_t)r->refused));
+        json_object_set_new(o, "layout_why", json_string(r->layout_why));
+    }
+    return o;
+}
+
+static void print_report(const command *c, const opened_source *a, const bake_conversion *r)
+{
+    const char *unit = a->photometric ? "lm" : "W";
+    printf("%s (%s) -> %s (%s)\n", a->path, kind_name(c, a, true), c->output, kind_name(c, a, false));
+    printf("  rays      %" PRIu64 " of %" PRIu64 " photons, %.1f s\n", r->rays, r->photons, r->seconds);
+    printf("  flux in   %14.8g %s\n", r->flux_in, unit);
+    printf("  flux out  %14.8g %s  +- %.2g\n", r->flux_out, unit, r->out_se);
+    printf("  loss      %14.2g %%\n", 100 * (r->flux_in - r->flux_out) / r->flux_in);
+    if (c->to == TO_BOX && (r->residual > 0 || r->refused > 0))
+        printf("  of which  %.6g %s beside all slabs, %" PRIu64 " rays that can't be counted\n", r->residual, unit, r->refused);
+}
+
+int cmd_convert(int argc, char **argv)
+{
+    static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "A B", .doc = DOC};
+    command c = {.seed = 1};
+    argp_parse(&ARGP, argc, argv, 0, NULL, &c);
+
+    lmg_error err = {{0}};
+    opened_source a = {0};
+    bake_conversion r = {0};
+    if (check_output(c.output, &c.lamp.path, 1, &err) != LMG_OK)
+        return report_failure(&err);
+    c.options.stop = catch_interrupts();
+    const lmg_result result = convert(&c, &a, &r, &err);
+    int code = EXIT_DONE;
+    if (result != LMG_OK) {
+        code = result == LMG_ERROR_FILE_WRITE ? report_failure(&err) : report_error(result, &err);
+        if (*c.options.stop)
+            code = EXIT_INTERRUPTED;
+    } else if (c.json || !c.quiet) {
+        bool printed = true;
+        if (c.json)
+            printed = print_json(report_json(&c, &a, &r));
+        else
+            print_report(&c, &a, &r);
+        if (!printed || fflush(stdout) != 0 || ferror(stdout)) {
+            lmg_fail(&err, LMG_ERROR_FILE_WRITE, "can't print: %s", strerror(errno));
+            code = report_failure(&err);
+        }
+    }
+    close_source(&a);
+    return code;
+}

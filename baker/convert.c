@@ -1,0 +1,173 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Conversions: a source run once into an accumulator, or in rounds into a file. */
+#include "convert.h"
+
+#include "bake.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Rays that a layout is fitted to, at most: more don't change it. */
+static const uint64_t PILOT_MOST = 400000;
+static const uint64_t DEFAULT_RAYS = 10000000;
+/* Rays kept between source and file: 19 MB. */
+static const uint64_t ROUND = 1u << 18;
+/* Photons between two looks at options.stop. */
+static const uint64_t STRETCH = 1u << 22;
+/* Cells of a box per ray of a finite source, within these bounds: see docs/rayfiles.md for what more and fewer do. */
+static const double CELLS_PER_RAY = 2;
+static const uint64_t CELLS_LEAST = 100000, CELLS_MOST = 4000000;
+
+static lmg_result stopped(const bake_convert_options *o, lmg_error *err)
+{
+    return o->stop && *o->stop ? lmg_fail(err, LMG_ERROR_INTERNAL, "interrupted; nothing was written") : LMG_OK;
+}
+
+static lmg_result choose_photons(const bake_source *source, const bake_convert_options *o, uint64_t *photons, lmg_error *err)
+{
+    *photons = o->rays ? o->rays : source->photons ? source->photons : DEFAULT_RAYS;
+    if (source->photons && *photons > source->photons)
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "%" PRIu64 " rays of a source that has %" PRIu64, *photons, source->photons);
+    return LMG_OK;
+}
+
+static lmg_result fit_layout(bake_source *source, const bake_convert_options *o, uint64_t photons, lmg_layout *layout, char why[1024],
+                             lmg_error *err)
+{
+    const bool all = source->photons && photons <= PILOT_MOST;
+    const uint64_t count = all ? photons : PILOT_MOST;
+    bake_ray_list *list;
+    lmg_result result = bake_ray_list_create((size_t)count, &list, err);
+    if (result != LMG_OK)
+        return result;
+    const lmg_sink sink = bake_ray_list_sink(list);
+    bake_tally tally = {0};
+    result = source->run(source, all ? 0 : BAKE_PILOT_FIRST, count, o->threads, &sink, 1, &tally, err);
+    size_t rays = 0;
+    const lmg_ray *sorted = bake_ray_list_sorted(list, &rays);
+    if (result == LMG_OK && rays == 0)
+        result = lmg_fail(err, LMG_ERROR_INPUT, "no light leaves it");
+    if (result == LMG_OK) {
+        lmg_fit_options fit = o->fit;
+        fit.struct_size = sizeof(fit);
+        fit.bounds_min = source->bounds_min;
+        fit.bounds_max = source->bounds_max;
+        if (fit.cells == 0 && source->photons) {
+            const double cells = CELLS_PER_RAY * (double)photons;
+            fit.cells = cells < (double)CELLS_LEAST ? CELLS_LEAST : cells > (double)CELLS_MOST ? CELLS_MOST : (uint64_t)cells;
+        }
+        result = lmg_layout_fit(sorted, rays, &fit, layout, why, err);
+    }
+    bake_ray_list_destroy(list);
+    return result;
+}
+
+lmg_result bake_convert_to_field(bake_source *source, const bake_convert_options *o, lmg_field **out, bake_conversion *report,
+                                 lmg_error *err)
+{
+    *out = NULL;
+    *report = (bake_conversion){0};
+    const double began = bake_clock();
+    uint64_t photons;
+    lmg_layout layout;
+    lmg_accumulator *accumulator = NULL;
+    lmg_result result = choose_photons(source, o, &photons, err);
+    if (result == LMG_OK)
+        result = fit_layout(source, o, photons, &layout, report->layout_why, err);
+    if (result == LMG_OK)
+        result = lmg_accumulator_create(&layout, &accumulator, err);
+    bake_tally tally = {0};
+    if (result == LMG_OK) {
+        const lmg_sink sink = lmg_accumulator_sink(accumulator);
+        for (uint64_t at = 0; result == LMG_OK && at < photons; at += STRETCH) {
+            result = stopped(o, err);
+            if (result == LMG_OK)
+                result = source->run(source, at, photons - at < STRETCH ? photons - at : STRETCH, o->threads, &sink, 1, &tally, err);
+        }
+    }
+    if (result == LMG_OK) {
+        const double unit = source->flux / (double)photons, n = (double)photons;
+        const lmg_deposit_totals totals = lmg_accumulator_totals(accumulator);
+        const double lost = tally.lost + (double)totals.refused;
+        const lmg_ledger ledger = {
+            .photons = photons,
+            .emitted = source->photons ? tally.emitted * unit : source->flux,
+            .emitted_se = source->flux_se,
+            .absorbed = tally.absorbed * unit,
+            .absorbed_se = source->flux * bake_share_error(tally.absorbed, n),
+            .lost = lost * unit,
+            .lost_se = source->flux * bake_share_error(lost, n),
+        };
+        result = lmg_field_reconstruct(accumulator, unit, &ledger, out, err);
+        if (result == LMG_OK) {
+            const lmg_ledger done = lmg_field_ledger(*out);
+            report->photons = photons;
+            report->rays = totals.rays + totals.unplaced + totals.refused;
+            report->flux_in = tally.escaped * unit;
+            report->flux_out = done.stored;
+            report->out_se = done.stored_se;
+            report->residual = done.residual;
+            report->refused = totals.refused;
+        }
+    }
+    lmg_accumulator_destroy(accumulator);
+    report->seconds = bake_clock() - began;
+    return result;
+}
+
+/* One round: rays of photons first .. in the order of their numbers into the file. */
+static lmg_result write_round(bake_source *source, const bake_convert_options *o, uint64_t first, uint64_t count, double unit,
+                              lum_ray_writer *writer, bake_tally *tally, bake_conversion *report, lmg_error *err)
+{
+    /* A photon may leave as several rays, but on the mean as one at most: twice as many of a whole round don't happen. */
+    bake_ray_list *list;
+    const size_t room = 2 * (size_t)count;
+    lmg_result result = bake_ray_list_create(room, &list, err);
+    if (result != LMG_OK)
+        return result;
+    const lmg_sink sink = bake_ray_list_sink(list);
+    result = source->run(source, first, count, o->threads, &sink, 1, tally, err);
+    size_t rays = 0;
+    const lmg_ray *sorted = bake_ray_list_sorted(list, &rays);
+    if (result == LMG_OK && rays == room)
+        result = lmg_fail(err, LMG_ERROR_INTERNAL, "more rays than two for every photon");
+    if (result == LMG_OK)
+        result = lum_ray_writer_append(writer, sorted, rays, unit, err);
+    report->rays += rays;
+    bake_ray_list_destroy(list);
+    return result;
+}
+
+lmg_result bake_convert_to_rays(bake_source *source, const bake_convert_options *o, const char *path,
+                                const lum_ray_writer_options *options, bake_conversion *report, lmg_error *err)
+{
+    *report = (bake_conversion){0};
+    const double began = bake_clock();
+    uint64_t photons;
+    lum_ray_writer *writer = NULL;
+    lmg_result result = choose_photons(source, o, &photons, err);
+    if (result == LMG_OK)
+        result = lum_ray_writer_create(path, options, &writer, err);
+    if (result != LMG_OK)
+        return result;
+    const double unit = source->flux / (double)photons;
+    bake_tally tally = {0};
+    for (uint64_t at = 0; result == LMG_OK && at < photons; at += ROUND) {
+        result = stopped(o, err);
+        if (result == LMG_OK)
+            result = write_round(source, o, at, photons - at < ROUND ? photons - at : ROUND, unit, writer, &tally, report, err);
+    }
+    if (result == LMG_OK && report->rays == 0)
+        result = lmg_fail(err, LMG_ERROR_INPUT, "no light leaves it");
+    if (result == LMG_OK)
+        result = lum_ray_writer_finish(writer, &report->flux_out, err);
+    else
+        lum_ray_writer_abandon(writer);
+    report->photons = photons;
+    report->flux_in = tally.escaped * unit;
+    report->out_se = source->photons ? 0 : source->flux * bake_share_error(tally.escaped, (double)photons);
+    report->seconds = bake_clock() - began;
+    return result;
+}
