@@ -58,6 +58,8 @@ typedef struct lum_material {
     float diffuse_transmission_color[3];
     bool thin;                   /* a transmitting surface is a thin wall (both faces at once: no refraction); false = the boundary of a solid */
     float absorption[3];         /* 1/m inside a solid (KHR_materials_volume: -ln(colour)/distance) */
+    float scattering[3];         /* 1/m inside a solid (recipe "medium"); zeros = clear */
+    float anisotropy;            /* mean cosine of the phase function of what is inside (luminaires/medium.h) */
     bool has_eta;                /* conductor with complex index eta - i k, per R,G,B */
     float eta[3], k[3];
     float emissive[3];           /* cd/m2, R,G,B (factor x strength, or from the recipe); all zero = doesn't emit */
@@ -99,6 +101,16 @@ typedef struct lum_part {
     double enclosed_volume;   /* m3, signed: negative = inward-facing winding; meaningful when closed */
 } lum_part;
 
+/* Smoke, haze: a participating medium in a region of space outside of solids, of varying density (luminaires/medium.h). */
+typedef struct lum_volume {
+    char name[LUM_NAME_SIZE];
+    float scattering[3], absorption[3]; /* 1/m where the density is 1 */
+    float anisotropy;                   /* mean cosine of the phase function */
+    struct lum_grid *grid;              /* density; belongs to the model */
+    double to_index[3][4];              /* from the model's frame minus centre (m) to the grid's index coordinates, affine */
+    lmg_vec3 bounds_min, bounds_max;    /* relative to centre */
+} lum_volume;
+
 /* All arrays belong to the model.  Positions are relative to centre, which was subtracted in double before rounding to float. */
 typedef struct lum_model {
     char path[1024];
@@ -119,8 +131,9 @@ typedef struct lum_model {
     uint32_t light_count;     lum_light *lights;
     uint32_t spectrum_count;  lum_spectrum **spectra; /* what the materials' spectral data point to */
     uint32_t camera_count;    lum_camera *cameras;
+    uint32_t volume_count;    lum_volume *volumes;
     double rated_flux;        /* lumens of the whole lamp as the recipe's "flux" says, 0 = not given; the emitters are as they are */
-    lmg_vec3 bounds_min, bounds_max; /* of the triangles (and punctual lights), relative to centre */
+    lmg_vec3 bounds_min, bounds_max; /* of the triangles (and punctual lights and volumes), relative to centre */
     uint32_t warning_count;   char **warnings; /* one line each, naming the mesh or material and the recipe entry that would settle it */
 } lum_model;
 

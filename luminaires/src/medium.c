@@ -1,0 +1,108 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Phase functions, and flights through homogeneous media; what is computed stands in medium.h. */
+#include <luminaires/medium.h>
+
+#include "vec.h"
+
+double lum_phase_pdf(double g, double cosine)
+{
+    const double d = 1 + g * (g - 2 * cosine);
+    return (1 - g * g) / (4 * LUM_PI * d * sqrt(d));
+}
+
+/*
+ * Inversion.  With s = 2 xi - 1 the usual cosine (1 + g^2 - ((1 - g^2) / (1 + g s))^2) / 2g divides by zero at g = 0 and cancels near
+ * the peak.  Its complements factor without remainder:
+ *     1 - cosine = A / (1 + g s)^2,  A = (1 - g)^2 (1 - s) (1 + g (1 + s) / 2)
+ *     1 + cosine = B / (1 + g s)^2,  B = (1 + g)^2 (1 + s) (1 - g (1 - s) / 2),   A + B = 2 (1 + g s)^2
+ * and A and B are sums and products of positive terms, so that sine and cosine are exact to rounding for the narrowest peaks.
+ */
+lmg_vec3 lum_phase_sample(double g, lmg_vec3 d, const double xi[2])
+{
+    const double s = 2 * xi[0] - 1;
+    const double a = (1 - g) * (1 - g) * (1 - s) * (1 + 0.5 * g * (1 + s)), b = (1 + g) * (1 + g) * (1 + s) * (1 - 0.5 * g * (1 - s));
+    const double scale = 1 / (a + b), sine = 2 * sqrt(a * b) * scale, cosine = (b - a) * scale;
+    double turn_sine, turn_cosine;
+    sincos_turns(xi[1], &turn_sine, &turn_cosine);
+    lmg_vec3 x, y;
+    vec_frame(d, &x, &y);
+    return vec_add(vec_scale(d, cosine), vec_add(vec_scale(x, sine * turn_cosine), vec_scale(y, sine * turn_sine)));
+}
+
+void lum_medium_set(lum_medium *m, const float scattering[3], const float absorption[3], float anisotropy)
+{
+    *m = (lum_medium){.g = (double)anisotropy, .grey = true};
+    for (int c = 0; c < 3; ++c) {
+        m->scattering[c] = (double)scattering[c];
+        m->extinction[c] = m->scattering[c] + (double)absorption[c];
+        m->majorant = fmax(m->majorant, m->extinction[c]);
+        m->scatters |= m->scattering[c] > 0;
+        m->grey &= scattering[c] == scattering[0] && absorption[c] == absorption[0];
+    }
+}
+
+/* Distance to the next event of a process of the given rate; u in [0,1).  1 - u is exact for numbers of 53 bits. */
+static double free_path(double u, double rate)
+{
+    return rate > 0 ? -log(1 - u) / rate : (double)INFINITY;
+}
+
+/* Probabilities of the colours in proportion to the magnitudes of their shares. */
+static void colour_chances(const double share[3], double p[3])
+{
+    const double a[3] = {fabs(share[0]), fabs(share[1]), fabs(share[2])}, scale = 1 / (a[0] + a[1] + a[2]);
+    for (int c = 0; c < 3; ++c)
+        p[c] = a[c] * scale;
+}
+
+static void fly_coloured(const lum_medium *m, double t_max, const double share[3], lum_rng *rng, lum_flight *out)
+{
+    double p[3], e[3], u = lum_rng_next(rng), chance = 0;
+    colour_chances(share, p);
+    const int chosen = u < p[0] ? 0 : u < p[0] + p[1] ? 1 : 2;
+    const double t = free_path(lum_rng_next(rng), m->extinction[chosen]);
+    const bool passed = t >= t_max;
+    out->t = passed ? t_max : t;
+    for (int c = 0; c < 3; ++c) {
+        /* in INFINITY only what has no extinction passes */
+        e[c] = m->extinction[c] > 0 ? exp(-m->extinction[c] * out->t) : 1;
+        if (!passed)
+            e[c] *= m->extinction[c];
+        chance += p[c] * e[c];
+    }
+    /* The chosen colour's own term is at least 2^-53 of p[chosen], so chance is positive. */
+    if (passed) {
+        for (int c = 0; c < 3; ++c)
+            out->factor[c] = e[c] / chance;
+        out->event = LUM_FLIGHT_PASSED;
+        return;
+    }
+    double scattered = 0;
+    for (int c = 0; c < 3; ++c) {
+        out->factor[c] = m->extinction[c] > 0 ? e[c] / chance * (m->scattering[c] / m->extinction[c]) : 0;
+        scattered += p[c] * out->factor[c];
+    }
+    out->event = lum_rng_next(rng) < scattered ? LUM_FLIGHT_SCATTERED : LUM_FLIGHT_ABSORBED;
+    for (int c = 0; c < 3 && out->event == LUM_FLIGHT_SCATTERED; ++c)
+        out->factor[c] /= scattered;
+}
+
+void lum_medium_fly(const lum_medium *m, double t_max, const double share[3], lum_rng *rng, lum_flight *out)
+{
+    out->g = m->g;
+    if (!m->grey) {
+        fly_coloured(m, t_max, share, rng, out);
+        return;
+    }
+    out->factor[0] = out->factor[1] = out->factor[2] = 1;
+    const double t = free_path(lum_rng_next(rng), m->majorant);
+    if (t >= t_max) {
+        out->event = LUM_FLIGHT_PASSED;
+        out->t = t_max;
+        return;
+    }
+    out->t = t;
+    out->event = LUM_FLIGHT_SCATTERED;
+    if (m->scattering[0] < m->extinction[0] && lum_rng_next(rng) * m->extinction[0] >= m->scattering[0])
+        out->event = LUM_FLIGHT_ABSORBED;
+}
