@@ -1,63 +1,14 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * What shines in a model.  Emissive triangles are cut into patches - one for a triangle of uniform emission, up to 64 x 64 for a
+ * What shines in a model: its table (emit.c draws light from it).  Emissive triangles are cut into patches - one for a triangle of uniform emission, up to 64 x 64 for a
  * textured one - and patches and punctual lights are chosen in proportion to their luminous flux with an alias table
  * [vose1991alias].  Emission is Lambertian about the geometric normal.  Relies on texture.c for texels and on scene_data.h for the
  * offset of new rays.
  */
-#include "scene_data.h"
-#include "vec.h"
+#include "emitters_data.h"
 
 #include <stdlib.h>
 #include <string.h>
-
-typedef struct patch {
-    double power; /* lumens */
-    float bound;  /* largest luminance (cd/m2) in it, coverage applied; 0 when dark */
-    float mean;   /* cd/m2 */
-} patch;
-
-typedef struct emissive_triangle {
-    float v[3][3];     /* vertices */
-    float ng[3];       /* geometric normal, rounded to float */
-    float emission[3]; /* cd/m2, of untextured ones */
-    float colour[3];   /* the same at luminance 1 */
-    float error;       /* lum_triangle_error */
-    float area;        /* m2 */
-    uint32_t n;        /* cuts per edge: n * n patches */
-    bool textured, both;
-    uint32_t first_patch, triangle;
-    int32_t material;
-} emissive_triangle;
-
-/* One entry of the alias table: a patch, or (from patch_count on) a light. */
-typedef struct alias_entry {
-    double keep;
-    uint32_t other;
-    uint32_t owner; /* of a patch: index of its emissive triangle */
-} alias_entry;
-
-typedef struct punctual {
-    lum_light light;
-    double power;    /* lumens; of directional lights: through the model's bounding sphere, only to choose between lights */
-    double width;    /* spots: cos_inner - cos_outer as the falloff uses it */
-    double ramp_top; /* spots: the falloff's root where the cone ends, 1 unless the ramp goes beyond the axis */
-    double ramp;     /* spots: share of the flux in the ramp */
-    float colour[3]; /* R,G,B at luminance 1 */
-} punctual;
-
-struct lum_emitters {
-    const lum_model *model;
-    uint32_t triangle_count, patch_count, light_count;
-    emissive_triangle *triangles;
-    patch *patches;
-    int32_t *of_triangle; /* of a model's triangle: index in triangles, or LUM_NONE */
-    punctual *lights;
-    alias_entry *alias;     /* by flux, directional lights left out (power 0): emission */
-    alias_entry *alias_all; /* with directional lights: next-event estimation */
-    double flux, flux_all;  /* lumens: sum of the powers in each table */
-    double rgb[3];
-};
 
 /* ------------------------------------------------------------------------------------------------------------ emission */
 
@@ -80,8 +31,7 @@ static void uv_at(const lum_model *model, uint32_t triangle, int set, double b1,
     }
 }
 
-/* Emitted radiance, cd/m2, with the surface's coverage (alpha) applied. */
-static void emission_at(const lum_model *model, uint32_t triangle, double b1, double b2, float rgb[3])
+void lum_emission_at(const lum_model *model, uint32_t triangle, double b1, double b2, float rgb[3])
 {
     const lum_material *m = &model->materials[model->triangle_material[triangle]];
     memcpy(rgb, m->emissive, 3 * sizeof rgb[0]);
@@ -113,52 +63,6 @@ static void emission_at(const lum_model *model, uint32_t triangle, double b1, do
             rgb[c] *= coverage;
         }
     }
-}
-
-/* Barycentrics of the corner of patch k of n * n, and the signed step of its edges: the patch is corner + step (a, b), a, b >= 0,
- * a + b <= 1.  Row i (of b1) holds 2 (n - i) - 1 patches, upright and turned ones in turn. */
-static void patch_corner(uint32_t n, uint32_t i, uint32_t within, double corner[2], double *step)
-{
-    uint32_t j = within / 2, turned = within & 1;
-    corner[0] = (double)(i + turned) / n;
-    corner[1] = (double)(j + turned) / n;
-    *step = turned ? -1.0 / n : 1.0 / n;
-}
-
-static uint32_t row_start(uint32_t n, uint32_t i)
-{
-    return 2 * n * i - i * i;
-}
-
-static uint32_t row_of(uint32_t n, uint32_t index)
-{
-    /* Inverse of row_start: i = n - sqrt(n^2 - index), then corrected for rounding. */
-    uint32_t i = (uint32_t)((double)n - sqrt((double)n * n - index));
-    while (i > 0 && row_start(n, i) > index) {
-        i--;
-    }
-    while (i + 1 < n && row_start(n, i + 1) <= index) {
-        i++;
-    }
-    return i;
-}
-
-static uint32_t patch_of(const emissive_triangle *t, double b1, double b2)
-{
-    if (t->n == 1) {
-        return t->first_patch;
-    }
-    uint32_t n = t->n;
-    double x = fmin(fmax(b1, 0), 1) * n, y = fmin(fmax(b2, 0), 1) * n;
-    uint32_t i = (uint32_t)x, j = (uint32_t)y;
-    i = i < n ? i : n - 1;
-    uint32_t last = n - 1 - i;
-    bool turned = x - i + y - j > 1;
-    if (j > last || (j == last && turned)) {
-        j = last;
-        turned = false;
-    }
-    return t->first_patch + row_start(n, i) + 2 * j + (turned ? 1 : 0);
 }
 
 /* Index of a texel under the wrap mode. */
@@ -253,7 +157,7 @@ static void patch_mean(const lum_model *model, uint32_t triangle, const double c
             double c[2], s;
             float e[3];
             patch_corner(k, i, w, c, &s);
-            emission_at(model, triangle, corner[0] + step * (c[0] + s / 3), corner[1] + step * (c[1] + s / 3), e);
+            lum_emission_at(model, triangle, corner[0] + step * (c[0] + s / 3), corner[1] + step * (c[1] + s / 3), e);
             for (int a = 0; a < 3; a++) {
                 rgb[a] += (double)e[a];
             }
@@ -287,7 +191,7 @@ static void fill_patches(lum_emitters *emitters, emissive_triangle *t)
                                      (1 + 16 * (float)LUM_FLOAT_ROUNDING);
             } else {
                 float e[3];
-                emission_at(model, t->triangle, 1.0 / 3, 1.0 / 3, e);
+                lum_emission_at(model, t->triangle, 1.0 / 3, 1.0 / 3, e);
                 for (int c = 0; c < 3; c++) {
                     rgb[c] = (double)e[c];
                 }
@@ -328,14 +232,6 @@ static void fill_light(const lum_model *model, const lum_light *light, punctual 
         lmg_vec3 d = vec_sub(model->bounds_max, model->bounds_min);
         p->power = y * LUM_PI * 0.25 * vec_dot(d, d);
     }
-}
-
-/* Share of a spot's axial intensity at cosine c. */
-static double spot_falloff(const punctual *p, double c)
-{
-    double a = (c - p->light.cos_outer) / p->width;
-    a = a < 0 ? 0 : a > 1 ? 1 : a;
-    return a * a;
 }
 
 /* --------------------------------------------------------------------------------------------------------- alias table */
@@ -407,14 +303,6 @@ static bool build_alias(const lum_emitters *e, bool directional, alias_entry *ta
     return true;
 }
 
-static uint32_t pick(const alias_entry *table, uint32_t n, double u)
-{
-    double x = u * n;
-    uint32_t i = (uint32_t)x;
-    i = i < n ? i : n - 1;
-    return x - i < table[i].keep ? i : table[i].other;
-}
-
 /* ------------------------------------------------------------------------------------------------------------- create */
 
 static bool emits(const lum_model *model, uint32_t triangle)
@@ -465,7 +353,7 @@ lmg_result lum_emitters_create(const lum_model *model, lum_emitters **out, lmg_e
         t->material = model->triangle_material[i];
         t->area = (float)(0.5 * twice);
         t->error = nextafterf((float)lum_triangle_error((const float(*)[3])t->v), INFINITY);
-        emission_at(model, i, 1.0 / 3, 1.0 / 3, t->emission);
+        lum_emission_at(model, i, 1.0 / 3, 1.0 / 3, t->emission);
         luminance = lmg_luminance(t->emission);
         for (int c = 0; c < 3; c++) {
             t->colour[c] = luminance > 0 ? (float)((double)t->emission[c] / luminance) : 0;
@@ -474,6 +362,7 @@ lmg_result lum_emitters_create(const lum_model *model, lum_emitters **out, lmg_e
         bool by_emission = is_textured(&m->emissive_texture);
         t->textured = by_emission || (m->alpha_mode != LUM_ALPHA_OPAQUE && (is_textured(&m->base_texture) || model->colors));
         t->n = by_emission ? cuts_of(model, i, &texels) : 1;
+        t->plain = !t->textured;
         t->first_patch = (uint32_t)patches;
         patches += (uint64_t)t->n * t->n;
     }
@@ -535,154 +424,4 @@ double lum_emitters_flux(const lum_emitters *emitters, double rgb[3])
         memcpy(rgb, emitters->rgb, sizeof emitters->rgb);
     }
     return emitters->flux;
-}
-
-/* ------------------------------------------------------------------------------------------------------------ sampling */
-
-/* A uniformly distributed point of a patch, as barycentrics of its triangle. */
-static void point_in_patch(const emissive_triangle *t, uint32_t index, double x, double y, double *b1, double *b2)
-{
-    double corner[2], step, r = sqrt(x);
-    if (t->n == 1) {
-        *b1 = 1 - r;
-        *b2 = y * r;
-        return;
-    }
-    uint32_t within = index - t->first_patch, i = row_of(t->n, within);
-    patch_corner(t->n, i, within - row_start(t->n, i), corner, &step);
-    *b1 = corner[0] + step * (1 - r);
-    *b2 = corner[1] + step * (y * r);
-}
-
-static inline lmg_vec3 point_at(const emissive_triangle *t, double b1, double b2, lmg_vec3 *ng)
-{
-    lmg_vec3 a = vec_from_float(t->v[0]), n = vec_from_float(t->ng);
-    lmg_vec3 e1 = vec_sub(vec_from_float(t->v[1]), a), e2 = vec_sub(vec_from_float(t->v[2]), a);
-    *ng = vec_scale(n, 1.5 - 0.5 * vec_dot(n, n)); /* unit in double: a Newton step, as scene.c has it */
-    return vec_along(vec_along(a, e1, b1), e2, b2);
-}
-
-void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], double (*next)(void *state), void *state,
-                         lum_photon *out)
-{
-    uint32_t i = pick(emitters->alias, emitters->patch_count + emitters->light_count, xi[0]);
-    if (i >= emitters->patch_count) {
-        const punctual *p = &emitters->lights[i - emitters->patch_count];
-        out->origin = p->light.position;
-        out->material = LUM_NONE;
-        memcpy(out->flux, p->colour, sizeof out->flux);
-        if (p->light.kind == LUM_LIGHT_POINT) {
-            out->direction = vec_about(vec(0, 0, 1), 2 * xi[1] - 1, xi[2]);
-        } else {
-            double c;
-            if (xi[5] < p->ramp) {
-                c = p->light.cos_outer + p->width * p->ramp_top * cbrt(xi[1]); /* flux up to a grows as a^3 */
-            } else {
-                c = 1 - xi[1] * (1 - p->light.cos_outer - p->width);
-            }
-            out->direction = vec_about(p->light.direction, fmin(c, 1), xi[2]);
-        }
-        return;
-    }
-
-    const emissive_triangle *t = &emitters->triangles[emitters->alias[i].owner];
-    double b1, b2;
-    point_in_patch(t, i, xi[1], xi[2], &b1, &b2);
-    memcpy(out->flux, t->colour, sizeof out->flux);
-    out->material = t->material;
-    if (t->textured) {
-        float rgb[3];
-        emission_at(emitters->model, t->triangle, b1, b2, rgb);
-        while (next(state) * (double)emitters->patches[i].bound >= lmg_luminance(rgb)) {
-            double x = next(state), y = next(state);
-            point_in_patch(t, i, x, y, &b1, &b2);
-            emission_at(emitters->model, t->triangle, b1, b2, rgb);
-        }
-        double luminance = lmg_luminance(rgb);
-        for (int c = 0; c < 3; c++) {
-            out->flux[c] = (float)((double)rgb[c] / luminance);
-        }
-    }
-    lmg_vec3 ng, p = point_at(t, b1, b2, &ng);
-    if (t->both && xi[5] < 0.5) {
-        ng = vec_scale(ng, -1);
-    }
-    out->origin = vec_along(p, ng, (double)t->error);
-    out->direction = vec_about_squared(ng, xi[3], xi[4]);
-}
-
-bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const double xi[3], lum_light_sample *out)
-{
-    if (!(emitters->flux_all > 0)) {
-        return false;
-    }
-    uint32_t i = pick(emitters->alias_all, emitters->patch_count + emitters->light_count, xi[0]);
-    if (i >= emitters->patch_count) {
-        const punctual *light = &emitters->lights[i - emitters->patch_count];
-        double chance = light->power / emitters->flux_all, factor = 1;
-        if (light->light.kind == LUM_LIGHT_DIRECTIONAL) {
-            out->direction = vec_scale(light->light.direction, -1);
-            out->distance = INFINITY;
-        } else {
-            lmg_vec3 d = vec_sub(light->light.position, p);
-            double d2 = vec_dot(d, d);
-            if (!(d2 > 0)) {
-                return false;
-            }
-            out->distance = sqrt(d2);
-            out->direction = vec_scale(d, 1 / out->distance);
-            factor = 1 / d2;
-            if (light->light.kind == LUM_LIGHT_SPOT) {
-                factor *= spot_falloff(light, -vec_dot(out->direction, light->light.direction));
-            }
-        }
-        for (int c = 0; c < 3; c++) {
-            out->radiance[c] = (float)((double)light->light.intensity[c] * factor / chance);
-        }
-        out->pdf = 1;
-        out->delta = true;
-        return factor > 0;
-    }
-
-    const emissive_triangle *t = &emitters->triangles[emitters->alias_all[i].owner];
-    double b1, b2;
-    point_in_patch(t, i, xi[1], xi[2], &b1, &b2);
-    lmg_vec3 ng, d = vec_sub(point_at(t, b1, b2, &ng), p);
-    double d2 = vec_dot(d, d);
-    if (!(d2 > 0)) {
-        return false;
-    }
-    out->distance = sqrt(d2);
-    out->direction = vec_scale(d, 1 / out->distance);
-    double cosine = -vec_dot(out->direction, ng);
-    if (t->both ? cosine == 0 : cosine <= 0) {
-        return false;
-    }
-    double area = (double)t->area / ((double)t->n * t->n);
-    out->pdf = emitters->patches[i].power / emitters->flux_all * d2 / (area * fabs(cosine));
-    out->delta = false;
-    if (t->textured) {
-        emission_at(emitters->model, t->triangle, b1, b2, out->radiance);
-    } else {
-        memcpy(out->radiance, t->emission, sizeof out->radiance);
-    }
-    return out->pdf > 0 && out->pdf < (double)INFINITY && lmg_luminance(out->radiance) > 0;
-}
-
-double lum_emitters_point_pdf(const lum_emitters *emitters, lmg_vec3 p, const lum_hit *hit)
-{
-    int32_t index = emitters->of_triangle[hit->triangle];
-    if (index == LUM_NONE || !(emitters->flux_all > 0)) {
-        return 0;
-    }
-    const emissive_triangle *t = &emitters->triangles[index];
-    lmg_vec3 d = vec_sub(hit->position, p);
-    double d2 = vec_dot(d, d), distance = sqrt(d2);
-    double cosine = d2 > 0 ? -vec_dot(d, hit->ng) / distance : 0;
-    if (t->both ? cosine == 0 : cosine <= 0) {
-        return 0;
-    }
-    uint32_t i = patch_of(t, (double)hit->b1, (double)hit->b2);
-    double area = (double)t->area / ((double)t->n * t->n);
-    return emitters->patches[i].power / emitters->flux_all * d2 / (area * fabs(cosine));
 }

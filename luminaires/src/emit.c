@@ -1,0 +1,192 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Light from a table of emitters (emitters.c): photons, one or many at once, and points as seen from elsewhere. */
+#include "emitters_data.h"
+
+#include <luminaires/rng.h>
+
+#include <string.h>
+
+/* ------------------------------------------------------------------------------------------------------------- choices */
+
+/* An entry of an alias table of n, in proportion to power. */
+static uint32_t pick(const alias_entry *table, uint32_t n, double u)
+{
+    double x = u * n;
+    uint32_t i = (uint32_t)x;
+    i = i < n ? i : n - 1;
+    return x - i < table[i].keep ? i : table[i].other;
+}
+
+/* Share of a spot's axial intensity at cosine c. */
+static double spot_falloff(const punctual *p, double c)
+{
+    double a = (c - p->light.cos_outer) / p->width;
+    a = a < 0 ? 0 : a > 1 ? 1 : a;
+    return a * a;
+}
+
+static uint32_t patch_of(const emissive_triangle *t, double b1, double b2)
+{
+    if (t->n == 1) {
+        return t->first_patch;
+    }
+    uint32_t n = t->n;
+    double x = fmin(fmax(b1, 0), 1) * n, y = fmin(fmax(b2, 0), 1) * n;
+    uint32_t i = (uint32_t)x, j = (uint32_t)y;
+    i = i < n ? i : n - 1;
+    uint32_t last = n - 1 - i;
+    bool turned = x - i + y - j > 1;
+    if (j > last || (j == last && turned)) {
+        j = last;
+        turned = false;
+    }
+    return t->first_patch + row_start(n, i) + 2 * j + (turned ? 1 : 0);
+}
+
+/* A uniformly distributed point of a patch, as barycentrics of its triangle. */
+static void point_in_patch(const emissive_triangle *t, uint32_t index, double x, double y, double *b1, double *b2)
+{
+    double corner[2], step, r = sqrt(x);
+    if (t->n == 1) {
+        *b1 = 1 - r;
+        *b2 = y * r;
+        return;
+    }
+    uint32_t within = index - t->first_patch, i = row_of(t->n, within);
+    patch_corner(t->n, i, within - row_start(t->n, i), corner, &step);
+    *b1 = corner[0] + step * (1 - r);
+    *b2 = corner[1] + step * (y * r);
+}
+
+static inline lmg_vec3 point_at(const emissive_triangle *t, double b1, double b2, lmg_vec3 *ng)
+{
+    lmg_vec3 a = vec_from_float(t->v[0]), n = vec_from_float(t->ng);
+    lmg_vec3 e1 = vec_sub(vec_from_float(t->v[1]), a), e2 = vec_sub(vec_from_float(t->v[2]), a);
+    *ng = vec_scale(n, 1.5 - 0.5 * vec_dot(n, n)); /* unit in double: a Newton step, as scene.c has it */
+    return vec_along(vec_along(a, e1, b1), e2, b2);
+}
+
+void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], double (*next)(void *state), void *state,
+                         lum_photon *out)
+{
+    uint32_t i = pick(emitters->alias, emitters->patch_count + emitters->light_count, xi[0]);
+    if (i >= emitters->patch_count) {
+        const punctual *p = &emitters->lights[i - emitters->patch_count];
+        out->origin = p->light.position;
+        out->material = LUM_NONE;
+        memcpy(out->flux, p->colour, sizeof out->flux);
+        if (p->light.kind == LUM_LIGHT_POINT) {
+            out->direction = vec_about(vec(0, 0, 1), 2 * xi[1] - 1, xi[2]);
+        } else {
+            double c;
+            if (xi[5] < p->ramp) {
+                c = p->light.cos_outer + p->width * p->ramp_top * cbrt(xi[1]); /* flux up to a grows as a^3 */
+            } else {
+                c = 1 - xi[1] * (1 - p->light.cos_outer - p->width);
+            }
+            out->direction = vec_about(p->light.direction, fmin(c, 1), xi[2]);
+        }
+        return;
+    }
+
+    const emissive_triangle *t = &emitters->triangles[emitters->alias[i].owner];
+    double b1, b2;
+    point_in_patch(t, i, xi[1], xi[2], &b1, &b2);
+    memcpy(out->flux, t->colour, sizeof out->flux);
+    out->material = t->material;
+    if (t->textured) {
+        float rgb[3];
+        lum_emission_at(emitters->model, t->triangle, b1, b2, rgb);
+        while (next(state) * (double)emitters->patches[i].bound >= lmg_luminance(rgb)) {
+            double x = next(state), y = next(state);
+            point_in_patch(t, i, x, y, &b1, &b2);
+            lum_emission_at(emitters->model, t->triangle, b1, b2, rgb);
+        }
+        double luminance = lmg_luminance(rgb);
+        for (int c = 0; c < 3; c++) {
+            out->flux[c] = (float)((double)rgb[c] / luminance);
+        }
+    }
+    lmg_vec3 ng, p = point_at(t, b1, b2, &ng);
+    if (t->both && xi[5] < 0.5) {
+        ng = vec_scale(ng, -1);
+    }
+    out->origin = vec_along(p, ng, (double)t->error);
+    out->direction = vec_about_squared(ng, xi[3], xi[4]);
+}
+
+bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const double xi[3], lum_light_sample *out)
+{
+    if (!(emitters->flux_all > 0)) {
+        return false;
+    }
+    uint32_t i = pick(emitters->alias_all, emitters->patch_count + emitters->light_count, xi[0]);
+    if (i >= emitters->patch_count) {
+        const punctual *light = &emitters->lights[i - emitters->patch_count];
+        double chance = light->power / emitters->flux_all, factor = 1;
+        if (light->light.kind == LUM_LIGHT_DIRECTIONAL) {
+            out->direction = vec_scale(light->light.direction, -1);
+            out->distance = INFINITY;
+        } else {
+            lmg_vec3 d = vec_sub(light->light.position, p);
+            double d2 = vec_dot(d, d);
+            if (!(d2 > 0)) {
+                return false;
+            }
+            out->distance = sqrt(d2);
+            out->direction = vec_scale(d, 1 / out->distance);
+            factor = 1 / d2;
+            if (light->light.kind == LUM_LIGHT_SPOT) {
+                factor *= spot_falloff(light, -vec_dot(out->direction, light->light.direction));
+            }
+        }
+        for (int c = 0; c < 3; c++) {
+            out->radiance[c] = (float)((double)light->light.intensity[c] * factor / chance);
+        }
+        out->pdf = 1;
+        out->delta = true;
+        return factor > 0;
+    }
+
+    const emissive_triangle *t = &emitters->triangles[emitters->alias_all[i].owner];
+    double b1, b2;
+    point_in_patch(t, i, xi[1], xi[2], &b1, &b2);
+    lmg_vec3 ng, d = vec_sub(point_at(t, b1, b2, &ng), p);
+    double d2 = vec_dot(d, d);
+    if (!(d2 > 0)) {
+        return false;
+    }
+    out->distance = sqrt(d2);
+    out->direction = vec_scale(d, 1 / out->distance);
+    double cosine = -vec_dot(out->direction, ng);
+    if (t->both ? cosine == 0 : cosine <= 0) {
+        return false;
+    }
+    double area = (double)t->area / ((double)t->n * t->n);
+    out->pdf = emitters->patches[i].power / emitters->flux_all * d2 / (area * fabs(cosine));
+    out->delta = false;
+    if (t->textured) {
+        lum_emission_at(emitters->model, t->triangle, b1, b2, out->radiance);
+    } else {
+        memcpy(out->radiance, t->emission, sizeof out->radiance);
+    }
+    return out->pdf > 0 && out->pdf < (double)INFINITY && lmg_luminance(out->radiance) > 0;
+}
+
+double lum_emitters_point_pdf(const lum_emitters *emitters, lmg_vec3 p, const lum_hit *hit)
+{
+    int32_t index = emitters->of_triangle[hit->triangle];
+    if (index == LUM_NONE || !(emitters->flux_all > 0)) {
+        return 0;
+    }
+    const emissive_triangle *t = &emitters->triangles[index];
+    lmg_vec3 d = vec_sub(hit->position, p);
+    double d2 = vec_dot(d, d), distance = sqrt(d2);
+    double cosine = d2 > 0 ? -vec_dot(d, hit->ng) / distance : 0;
+    if (t->both ? cosine == 0 : cosine <= 0) {
+        return 0;
+    }
+    uint32_t i = patch_of(t, (double)hit->b1, (double)hit->b2);
+    double area = (double)t->area / ((double)t->n * t->n);
+    return emitters->patches[i].power / emitters->flux_all * d2 / (area * fabs(cosine));
+}
