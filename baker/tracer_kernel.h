@@ -80,13 +80,10 @@ typedef struct worker {
     uint32_t pending_count;
     waiting_path pending[MAX_PENDING];
     uint16_t order[BAKE_CHUNK]; /* of a chunk's photons: order_photons */
+    uint32_t drawn_count, drawn_next;
+    lum_photons drawn; /* photons that will start next */
     bake_batch batch;
 } worker;
-
-static double next_number(void *state)
-{
-    return lum_rng_next(state);
-}
 
 static double luminance(const double c[3])
 {
@@ -315,12 +312,24 @@ static inline bool interact(const tracer *t, worker *w, uint32_t i)
     return photons > 0;
 }
 
-/* Starts photon `number` as path i of the wave; false if it is lost at once. */
-static inline bool start(const tracer *t, worker *w, uint32_t i, uint64_t number)
+/* Draws the light of the next photons of the chunk, in the order of order_photons. */
+static void draw(const tracer *t, worker *w, uint64_t first, uint32_t next, uint32_t count)
 {
+    w->drawn_count = count - next < LUM_PHOTONS ? count - next : LUM_PHOTONS;
+    w->drawn_next = 0;
+    for (uint32_t k = 0; k < w->drawn_count; ++k)
+        w->drawn.number[k] = first + w->order[next + k];
+    lum_emitters_sample_many(t->emitters, t->seed, w->drawn_count, &w->drawn);
+}
+
+/* Starts the next photon drawn as path i of the wave; false if it is lost at once. */
+static inline bool start(worker *w, uint32_t i)
+{
+    const lum_photons *drawn = &w->drawn;
+    const uint32_t k = w->drawn_next++;
     path *p = &w->path[i];
-    p->number = number;
-    p->rng = lum_rng_stream(t->seed, number);
+    p->number = drawn->number[k];
+    p->rng.state = drawn->rng[k];
     p->segments = 0;
 #if KERNEL_FEATURES & TRACER_SOLIDS
     p->nested = 0;
@@ -328,26 +337,17 @@ static inline bool start(const tracer *t, worker *w, uint32_t i, uint64_t number
 #if KERNEL_FEATURES & TRACER_POLARIZATION
     p->polarization = (lum_polarization){0};
 #endif
-    double xi[6];
-    for (int k = 0; k < 6; ++k)
-        xi[k] = lum_rng_next(&p->rng);
-    lum_photon photon;
-    lum_emitters_sample(t->emitters, xi, next_number, &p->rng, &photon);
+    for (int c = 0; c < 3; ++c)
+        p->colour[c] = drawn->colour[c][k];
+    const lmg_vec3 o = {drawn->origin[0][k], drawn->origin[1][k], drawn->origin[2][k]};
+    const lmg_vec3 d = {drawn->direction[0][k], drawn->direction[1][k], drawn->direction[2][k]};
+    w->origin[i] = o;
+    w->direction[i] = d;
     ++w->counts.photons;
-    w->origin[i] = photon.origin;
-    w->direction[i] = photon.direction;
-    for (int k = 0; k < 3; ++k)
-        p->colour[k] = (double)photon.flux[k];
-    const double y = luminance(p->colour); /* 1 to float precision */
-    const lmg_vec3 o = photon.origin, d = photon.direction;
-    if (!isfinite(o.x + o.y + o.z + d.x + d.y + d.z + y) || !(y > 0)) {
-        ++w->counts.lost;
-        return false;
-    }
-    const double scale = 1 / y;
-    for (int k = 0; k < 3; ++k)
-        p->colour[k] *= scale;
-    return true;
+    if (isfinite(o.x + o.y + o.z + d.x + d.y + d.z + p->colour[0] + p->colour[1] + p->colour[2]))
+        return true;
+    ++w->counts.lost;
+    return false;
 }
 
 /* ---------------------------------------------------------------------------------------------------------- the wave */
@@ -363,18 +363,15 @@ static void record(tracer_job *j, const worker *w)
     }
 }
 
-/* Puts the photons first .. first+count-1 (count at most BAKE_CHUNK) in the order of their first random number, roughly: it chooses
- * the emitting triangle, so neighbours in this order start close together and find the emitter, and the tree around it, in the
- * cache. */
+/* Puts the photons first .. first+count-1 (count at most BAKE_CHUNK) in the order of the emitting triangle that they choose, roughly:
+ * neighbours in this order start close together and find the emitter, and the tree around it, in the cache. */
 static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t count)
 {
     enum { BUCKETS = 512 };
     uint16_t bucket[BAKE_CHUNK], start_of[BUCKETS + 1] = {0};
-    for (uint32_t i = 0; i < count; ++i) {
-        lum_rng rng = lum_rng_stream(t->seed, first + i);
-        bucket[i] = (uint16_t)(lum_rng_next(&rng) * BUCKETS);
+    lum_emitters_parts(t->seed, first, count, BUCKETS, bucket);
+    for (uint32_t i = 0; i < count; ++i)
         ++start_of[bucket[i] + 1];
-    }
     for (uint32_t b = 0; b < BUCKETS; ++b)
         start_of[b + 1] = (uint16_t)(start_of[b + 1] + start_of[b]);
     for (uint32_t i = 0; i < count; ++i)
@@ -418,6 +415,7 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
         return;
     order_photons(t, w, first, (uint32_t)count);
     w->trap.started = w->trap.trapped = 0;
+    w->drawn_next = w->drawn_count = 0;
     uint32_t next = 0;
     for (;;) {
         while (w->alive < WAVE) {
@@ -427,7 +425,10 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
                 w->direction[w->alive] = p->direction;
                 w->path[w->alive++] = p->path;
             } else if (next < count) {
-                w->alive += start(t, w, w->alive, first + w->order[next++]);
+                if (w->drawn_next == w->drawn_count)
+                    draw(t, w, first, next, (uint32_t)count);
+                ++next;
+                w->alive += start(w, w->alive);
             } else {
                 break;
             }

@@ -115,6 +115,133 @@ void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], doubl
     out->direction = vec_about_squared(ng, xi[3], xi[4]);
 }
 
+/* --------------------------------------------------------------------------------------------------- many photons at once */
+
+/* Stands in the columns for photons that aren't of a plain triangle. */
+static const emissive_triangle NO_TRIANGLE = {.ng = {0, 0, 1}, .colour = {1, 1, 1}};
+
+/* One step of the streams of all photons. */
+static inline void next_numbers(size_t count, uint64_t *restrict rng, double *restrict out)
+{
+    for (size_t i = 0; i < count; i++) {
+        lum_rng r = {rng[i]};
+        out[i] = lum_rng_next(&r);
+        rng[i] = r.state;
+    }
+}
+
+LUM_WIDE static void begin_streams(uint64_t seed, size_t count, lum_photons *restrict p, double (*restrict xi)[LUM_PHOTONS])
+{
+    for (size_t i = 0; i < count; i++) {
+        p->rng[i] = lum_rng_stream(seed, p->number[i]).state;
+    }
+    for (int k = 0; k < 6; k++) {
+        next_numbers(count, p->rng, xi[k]);
+    }
+}
+
+/* What photons need of their triangles, gathered. */
+typedef struct plain_columns {
+    float v[3][3][LUM_PHOTONS], ng[3][LUM_PHOTONS], error[LUM_PHOTONS], colour[3][LUM_PHOTONS];
+    double both[LUM_PHOTONS]; /* 0.5: shines to both sides, else 0 */
+} plain_columns;
+
+/* lum_emitters_sample for photons of plain triangles. */
+LUM_WIDE static void sample_plain(size_t count, const plain_columns *restrict c, double (*restrict xi)[LUM_PHOTONS],
+                                  lum_photons *restrict p)
+{
+    for (size_t i = 0; i < count; i++) {
+        lmg_vec3 a = vec((double)c->v[0][0][i], (double)c->v[0][1][i], (double)c->v[0][2][i]);
+        lmg_vec3 e1 = vec_sub(vec((double)c->v[1][0][i], (double)c->v[1][1][i], (double)c->v[1][2][i]), a);
+        lmg_vec3 e2 = vec_sub(vec((double)c->v[2][0][i], (double)c->v[2][1][i], (double)c->v[2][2][i]), a);
+        lmg_vec3 ng = vec((double)c->ng[0][i], (double)c->ng[1][i], (double)c->ng[2][i]);
+        ng = vec_scale(ng, 1.5 - 0.5 * vec_dot(ng, ng));
+        double r = sqrt(xi[1][i]);
+        lmg_vec3 at = vec_along(vec_along(a, e1, 1 - r), e2, xi[2][i] * r);
+        ng = vec_scale(ng, xi[5][i] < c->both[i] ? -1.0 : 1.0);
+        at = vec_along(at, ng, (double)c->error[i]);
+        lmg_vec3 d = vec_about_squared(ng, xi[3][i], xi[4][i]);
+        p->origin[0][i] = at.x;
+        p->origin[1][i] = at.y;
+        p->origin[2][i] = at.z;
+        p->direction[0][i] = d.x;
+        p->direction[1][i] = d.y;
+        p->direction[2][i] = d.z;
+        double red = (double)c->colour[0][i], green = (double)c->colour[1][i], blue = (double)c->colour[2][i];
+        double scale = 1 / (0.2126 * red + 0.7152 * green + 0.0722 * blue); /* the floats' luminance is 1 to float precision */
+        p->colour[0][i] = red * scale;
+        p->colour[1][i] = green * scale;
+        p->colour[2][i] = blue * scale;
+    }
+}
+
+static double next_of_stream(void *state)
+{
+    return lum_rng_next(state);
+}
+
+static void sample_other(const lum_emitters *emitters, size_t i, double (*xi)[LUM_PHOTONS], lum_photons *p)
+{
+    lum_rng rng = {p->rng[i]};
+    lum_photon photon;
+    lum_emitters_sample(emitters, (const double[6]){xi[0][i], xi[1][i], xi[2][i], xi[3][i], xi[4][i], xi[5][i]}, next_of_stream, &rng,
+                        &photon);
+    p->rng[i] = rng.state;
+    p->material[i] = photon.material;
+    const double o[3] = {photon.origin.x, photon.origin.y, photon.origin.z};
+    const double d[3] = {photon.direction.x, photon.direction.y, photon.direction.z};
+    double scale = 1 / lmg_luminance(photon.flux);
+    for (int c = 0; c < 3; c++) {
+        p->origin[c][i] = o[c];
+        p->direction[c][i] = d[c];
+        p->colour[c][i] = (double)photon.flux[c] * scale;
+    }
+}
+
+void lum_emitters_sample_many(const lum_emitters *emitters, uint64_t seed, size_t count, lum_photons *photons)
+{
+    double xi[6][LUM_PHOTONS];
+    plain_columns columns;
+    uint8_t others[LUM_PHOTONS];
+    size_t other_count = 0;
+    begin_streams(seed, count, photons, xi);
+    uint32_t n = emitters->patch_count + emitters->light_count;
+    for (size_t i = 0; i < count; i++) {
+        uint32_t at = pick(emitters->alias, n, xi[0][i]);
+        const emissive_triangle *t = at < emitters->patch_count ? &emitters->triangles[emitters->alias[at].owner] : NULL;
+        if (!t || !t->plain) {
+            others[other_count++] = (uint8_t)i;
+            t = &NO_TRIANGLE;
+        }
+        for (int k = 0; k < 3; k++) {
+            for (int m = 0; m < 3; m++) {
+                columns.v[m][k][i] = t->v[m][k];
+            }
+            columns.ng[k][i] = t->ng[k];
+            columns.colour[k][i] = t->colour[k];
+        }
+        columns.error[i] = t->error;
+        columns.both[i] = t->both ? 0.5 : 0;
+        photons->material[i] = t->material;
+    }
+    if (other_count < count) {
+        sample_plain(count, &columns, xi, photons);
+    }
+    for (size_t k = 0; k < other_count; k++) {
+        sample_other(emitters, others[k], xi, photons);
+    }
+}
+
+LUM_WIDE void lum_emitters_parts(uint64_t seed, uint64_t first, size_t count, uint32_t parts, uint16_t *part)
+{
+    for (size_t i = 0; i < count; i++) {
+        lum_rng rng = lum_rng_stream(seed, first + i);
+        part[i] = (uint16_t)(int)(lum_rng_next(&rng) * parts);
+    }
+}
+
+/* ------------------------------------------------------------------------------------------------ points seen from elsewhere */
+
 bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const double xi[3], lum_light_sample *out)
 {
     if (!(emitters->flux_all > 0)) {

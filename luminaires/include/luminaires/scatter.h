@@ -117,6 +117,23 @@ typedef struct lum_photon {
 void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], double (*next)(void *state), void *state,
                          lum_photon *out);
 
+/*
+ * Many photons at once, in columns, so that processors with wide registers work on several: photon k of the result is what
+ * lum_emitters_sample gives with six numbers from stream k.  count: at most LUM_PHOTONS.  numbers: of the photons; streams are those
+ * of lum_rng_stream(seed, number), and are left where the photon's emission has got to.  colour: flux R,G,B at luminance 1.
+ */
+enum { LUM_PHOTONS = 64 };
+typedef struct lum_photons {
+    uint64_t number[LUM_PHOTONS], rng[LUM_PHOTONS];
+    double origin[3][LUM_PHOTONS], direction[3][LUM_PHOTONS], colour[3][LUM_PHOTONS];
+    int32_t material[LUM_PHOTONS]; /* of the emitting surface, LUM_NONE for lights */
+} lum_photons;
+void lum_emitters_sample_many(const lum_emitters *emitters, uint64_t seed, size_t count, lum_photons *photons);
+
+/* Which of `parts` equal parts of the emitters' table photon first + i chooses (the first number of its stream says so): photons of one
+ * part start close together.  parts: at most 2^16. */
+void lum_emitters_parts(uint64_t seed, uint64_t first, size_t count, uint32_t parts, uint16_t *part);
+
 /* Next-event estimation, for the viewer: a point on an emitter as seen from p; radiance R,G,B arriving (unoccluded), direction,
  * distance, pdf per steradian.  Delta lights: delta true, pdf 1, radiance holds the illuminance across the direction over the
  * light's chance; directional lights have distance INFINITY.  False if it contributes nothing. */
