@@ -72,7 +72,7 @@ static lmg_result create(receivers *r, const bake_rectangle *planes, size_t plan
     lmg_result result = LMG_OK;
     for (size_t i = 0; result == LMG_OK && i <= plane_count; ++i) {
         result = i < plane_count ? bake_illuminance_create(&planes[i], &r->list[i], err)
-                                 : bake_far_field_create(axis, RINGS, SECTORS, &r->list[i], err);
+                                 : bake_sphere_create(&(bake_sphere){.radius = INFINITY, .axis = axis, .rings = RINGS, .sectors = SECTORS}, &r->list[i], err);
         r->count += result == LMG_OK;
     }
     if (result != LMG_OK)
