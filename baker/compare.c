@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Comparison of two sources by the receivers that both feed. */
-#include "compare.h"
+/* Comparison of two sources by the receivers that both feed: measuring.  What is computed from the readings: compare_measures.c. */
+#include "compare_inside.h"
 
 #include "bake.h"
 #include "receiver.h"
@@ -10,55 +10,60 @@
 #include <string.h>
 
 static const uint64_t DEFAULT_PHOTONS = 20000000;
+static const double PI = 3.14159265358979323846;
 /* Photons that main axis and size are taken from. */
 static const uint64_t PILOT_PHOTONS = 50000;
-static const uint32_t PIXELS = 32, RINGS = 32, SECTORS = 64;
 
-static int compare_doubles(const void *x, const void *y)
+/* ----------------------------------------------------------------------------------------------------------- instrument */
+
+/* Views of the luminance pictures: from the main axis, and 30 and 60 degrees off it on two sides. */
+static const struct {
+    double tilt, turn; /* degrees */
+} VIEWS[BAKE_VIEWS] = {{0, 0}, {30, 0}, {30, 90}, {60, 0}, {60, 90}};
+/* Half-angle of the cone of a luminance picture, degrees: narrow enough for the picture to be sharp at a luminaire's own size, wide
+ * enough to catch one ray in 130 of a Lambertian source. */
+static const double CONE = 5;
+/* Radii of the spheres, sizes: 1, 1.5, ... 50, so that every convention for where the far field begins lies between two of them. */
+static const double RADII[BAKE_RADII] = {1, 1.5, 2, 3, 5, 7, 10, 15, 25, 50};
+
+static lmg_vec3 add_scaled(lmg_vec3 a, double s, lmg_vec3 b)
 {
-    const double a = *(const double *)x, b = *(const double *)y;
-    return (a > b) - (a < b);
+    return (lmg_vec3){a.x + s * b.x, a.y + s * b.y, a.z + s * b.z};
 }
 
-/*
- * With d = a - b of variance v = va + vb, E[d^2] = delta^2 + v: the noise comes off as a sum.  For Gaussian noise Var[d^2] = 2 v^2
- * + 4 delta^2 v, where sums over pixels take d^2 - v for delta^2; error propagation through the square root gives the standard
- * error, which far below the noise levels off at the root of the sum's own error.
- */
-bake_difference bake_differ(const double *a, const double *a_se, const double *b, const double *b_se, size_t count)
+static lmg_vec3 cross(lmg_vec3 a, lmg_vec3 b)
 {
-    double d2 = 0, v = 0, b2 = 0, noise = 0, cross = 0;
-    double *absolute = malloc(count * sizeof(*absolute));
-    for (size_t i = 0; i < count; ++i) {
-        const double d = a[i] - b[i], vi = a_se[i] * a_se[i] + b_se[i] * b_se[i];
-        d2 += d * d;
-        v += vi;
-        b2 += b[i] * b[i] - b_se[i] * b_se[i];
-        noise += 2 * vi * vi;
-        cross += 4 * (d * d - vi) * vi;
-        if (absolute)
-            absolute[i] = fabs(d);
-    }
-    bake_difference r = {.raw = NAN, .rms = NAN, .standard_error = NAN, .p99 = NAN, .noise = NAN};
-    if (b2 > 0) {
-        const double s = (d2 - v) / b2, se = sqrt(noise + fmax(cross, 0)) / b2;
-        r.raw = sqrt(d2 / b2);
-        r.noise = sqrt(v / b2);
-        r.rms = s >= 0 ? sqrt(s) : -sqrt(-s);
-        r.standard_error = se > 0 ? se / (2 * fmax(fabs(r.rms), 0.5 * sqrt(se))) : 0;
-        if (absolute) {
-            qsort(absolute, count, sizeof(*absolute), compare_doubles);
-            r.p99 = absolute[(size_t)(0.99 * (double)(count - 1) + 0.5)] / sqrt(b2 / (double)count);
-        }
-    }
-    free(absolute);
-    return r;
+    return (lmg_vec3){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-typedef struct receivers {
-    size_t count;
-    bake_receiver *list[BAKE_MAX_DISTANCES + 1];
-} receivers;
+/* Sets up what both sources are measured with: planes stand clear of both. */
+static void set_up(instrument *in, lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 axis, const bake_compare_options *o)
+{
+    in->plane_count = o->distance_count;
+    for (size_t i = 0; i < o->distance_count; ++i) {
+        in->planes[i] = bake_measuring_rectangle(lo, hi, axis, o->size, o->distances[i] * o->size, PIXELS);
+        in->planes[i].colour = true;
+    }
+    in->far_field = (bake_sphere){.radius = INFINITY, .axis = axis, .rings = RINGS, .sectors = SECTORS, .colour = true};
+    in->profile = (bake_sphere){.radius = INFINITY, .axis = axis, .rings = PROFILE_RINGS, .sectors = PROFILE_SECTORS, .equal_angles = true};
+    in->nadir = (bake_sphere){.radius = INFINITY, .axis = {0, -1, 0}, .rings = ZONES, .sectors = 1, .equal_angles = true, .colour = true};
+    const lmg_vec3 centre = {0.5 * (lo.x + hi.x), 0.5 * (lo.y + hi.y), 0.5 * (lo.z + hi.z)};
+    const lmg_vec3 extent = {hi.x - lo.x, hi.y - lo.y, hi.z - lo.z};
+    const double diagonal = sqrt(extent.x * extent.x + extent.y * extent.y + extent.z * extent.z);
+    for (int i = 0; i < BAKE_RADII; ++i)
+        in->spheres[i] = (bake_sphere){.centre = centre, .radius = RADII[i] * o->size, .axis = axis, .rings = NEAR_RINGS,
+                                       .sectors = NEAR_SECTORS, .equal_angles = true};
+    const lmg_vec3 first = bake_measuring_rectangle(lo, hi, axis, 1, 1, 1).a, second = cross(axis, first);
+    for (int i = 0; i < BAKE_VIEWS; ++i) {
+        const double tilt = VIEWS[i].tilt * PI / 180, turn = VIEWS[i].turn * PI / 180;
+        const lmg_vec3 aside = add_scaled((lmg_vec3){cos(turn) * first.x, cos(turn) * first.y, cos(turn) * first.z}, sin(turn), second);
+        const lmg_vec3 n = add_scaled((lmg_vec3){cos(tilt) * axis.x, cos(tilt) * axis.y, cos(tilt) * axis.z}, sin(tilt), aside);
+        const lmg_vec3 b = cross(axis, aside); /* perpendicular to n as well: n lies in the plane of axis and aside */
+        in->pictures[i] = (bake_picture){.across = {.centre = centre, .a = cross(b, n), .b = b, .width = diagonal, .height = diagonal,
+                                                    .nx = PIXELS, .ny = PIXELS},
+                                         .half_angle = CONE * PI / 180};
+    }
+}
 
 static void destroy(receivers *r)
 {
@@ -67,18 +72,44 @@ static void destroy(receivers *r)
     r->count = 0;
 }
 
-static lmg_result create(receivers *r, const bake_rectangle *planes, size_t plane_count, lmg_vec3 axis, lmg_error *err)
+static lmg_result create_one(const instrument *in, size_t i, bake_receiver **out, lmg_error *err)
+{
+    if (i < in->plane_count)
+        return bake_illuminance_create(&in->planes[i], out, err);
+    i -= in->plane_count;
+    if (i == FAR_FIELD)
+        return bake_sphere_create(&in->far_field, out, err);
+    if (i == PROFILE)
+        return bake_sphere_create(&in->profile, out, err);
+    if (i == NADIR)
+        return bake_sphere_create(&in->nadir, out, err);
+    if (i < PICTURES)
+        return bake_sphere_create(&in->spheres[i - SPHERES], out, err);
+    return bake_picture_create(&in->pictures[i - PICTURES], out, err);
+}
+
+/* The first `count` receivers of the instrument. */
+static lmg_result create(receivers *r, const instrument *in, size_t count, lmg_error *err)
 {
     lmg_result result = LMG_OK;
-    for (size_t i = 0; result == LMG_OK && i <= plane_count; ++i) {
-        result = i < plane_count ? bake_illuminance_create(&planes[i], &r->list[i], err)
-                                 : bake_sphere_create(&(bake_sphere){.radius = INFINITY, .axis = axis, .rings = RINGS, .sectors = SECTORS}, &r->list[i], err);
+    r->count = 0;
+    while (result == LMG_OK && r->count < count) {
+        result = create_one(in, r->count, &r->list[r->count], err);
         r->count += result == LMG_OK;
     }
     if (result != LMG_OK)
         destroy(r);
     return result;
 }
+
+static size_t sinks_of(const receivers *r, lmg_sink *sinks)
+{
+    for (size_t i = 0; i < r->count; ++i)
+        sinks[i] = bake_receiver_sink(r->list[i]);
+    return r->count;
+}
+
+/* -------------------------------------------------------------------------------------------------------------- pilots */
 
 /* A few rays of a source, kept. */
 static lmg_result run_pilot(bake_source *source, unsigned threads, bake_ray_list **list, const lmg_ray **rays, size_t *count,
@@ -130,49 +161,6 @@ lmg_result bake_source_size(bake_source *source, unsigned threads, double *size,
     return result;
 }
 
-/* Readings of one receiver fed by both sources; arrays of 4 * count: a, a_se, b, b_se. */
-static double *readings(bake_receiver *a, bake_receiver *b, const double lumens_per_unit[2])
-{
-    const size_t n = bake_receiver_count(a);
-    double *r = malloc(4 * n * sizeof(*r));
-    for (size_t i = 0; r && i < n; ++i) {
-        r[i] = bake_receiver_reading(a, i, lumens_per_unit[0], &r[n + i]);
-        r[2 * n + i] = bake_receiver_reading(b, i, lumens_per_unit[1], &r[3 * n + i]);
-    }
-    return r;
-}
-
-static void mean_of(const double *value, const double *error, size_t n, double *mean, double *mean_se)
-{
-    double sum = 0, squares = 0;
-    for (size_t i = 0; i < n; ++i) {
-        sum += value[i];
-        squares += error[i] * error[i];
-    }
-    *mean = sum / (double)n;
-    *mean_se = sqrt(squares) / (double)n;
-}
-
-static lmg_result evaluate(receivers sides[2], const bake_compare_options *options, const double lumens_per_unit[2],
-                           bake_comparison *out, lmg_error *err)
-{
-    for (size_t i = 0; i <= options->distance_count; ++i) {
-        double *r = readings(sides[0].list[i], sides[1].list[i], lumens_per_unit);
-        if (!r)
-            return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the comparison");
-        const size_t n = bake_receiver_count(sides[0].list[i]);
-        const bake_difference d = bake_differ(r, r + n, r + 2 * n, r + 3 * n, n);
-        if (i == options->distance_count) {
-            out->far_field = d;
-        } else {
-            out->planes[i].difference = d;
-            for (int s = 0; s < 2; ++s)
-                mean_of(r + 2 * (size_t)s * n, r + (2 * (size_t)s + 1) * n, n, &out->planes[i].mean[s], &out->planes[i].mean_se[s]);
-        }
-        free(r);
-    }
-    return LMG_OK;
-}
 
 static double least(double a, double b)
 {
@@ -184,54 +172,204 @@ static double most(double a, double b)
     return a > b ? a : b;
 }
 
+/* The box about the source's bounds after a motion. */
+static void moved_bounds(const bake_source *s, const bake_motion *motion, lmg_vec3 *lo, lmg_vec3 *hi)
+{
+    *lo = (lmg_vec3){INFINITY, INFINITY, INFINITY};
+    *hi = (lmg_vec3){-INFINITY, -INFINITY, -INFINITY};
+    for (int corner = 0; corner < 8; ++corner) {
+        const lmg_vec3 c = {corner & 1 ? s->bounds_max.x : s->bounds_min.x, corner & 2 ? s->bounds_max.y : s->bounds_min.y,
+                            corner & 4 ? s->bounds_max.z : s->bounds_min.z};
+        const lmg_vec3 p = bake_motion_point(motion, c);
+        *lo = (lmg_vec3){least(lo->x, p.x), least(lo->y, p.y), least(lo->z, p.z)};
+        *hi = (lmg_vec3){most(hi->x, p.x), most(hi->y, p.y), most(hi->z, p.z)};
+    }
+}
+
+static const bake_motion NO_MOTION = {.rotation = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+
+static void set_up_for(instrument *in, const bake_source *a, const bake_motion *motion, const bake_source *b, lmg_vec3 axis,
+                       const bake_compare_options *o)
+{
+    lmg_vec3 lo, hi, lo_moved, hi_moved;
+    moved_bounds(a, &NO_MOTION, &lo, &hi);
+    moved_bounds(a, motion, &lo_moved, &hi_moved);
+    lo = (lmg_vec3){least(least(lo.x, lo_moved.x), b->bounds_min.x), least(least(lo.y, lo_moved.y), b->bounds_min.y),
+                    least(least(lo.z, lo_moved.z), b->bounds_min.z)};
+    hi = (lmg_vec3){most(most(hi.x, hi_moved.x), b->bounds_max.x), most(most(hi.y, hi_moved.y), b->bounds_max.y),
+                    most(most(hi.z, hi_moved.z), b->bounds_max.z)};
+    set_up(in, lo, hi, axis, o);
+}
+
+/* ----------------------------------------------------------------------------------------------------------- measuring */
+
+static void read_into(reading *to, int block, const bake_receiver *r, double lumens_per_unit)
+{
+    for (size_t i = 0; i < to->count; ++i) {
+        double se;
+        to->value[block * to->count + i] = bake_receiver_reading(r, i, lumens_per_unit, &se);
+        to->variance[i] += se * se / (BLOCKS * BLOCKS);
+        if (to->rgb)
+            bake_receiver_colour(r, i, lumens_per_unit, &to->rgb[3 * (block * to->count + i)]);
+    }
+}
+
+static lmg_result make_readings(measured *m, const receivers *r, lmg_error *err)
+{
+    for (size_t i = 0; i < r->count; ++i) {
+        reading *x = &m->of[i];
+        x->count = bake_receiver_count(r->list[i]);
+        x->value = calloc(BLOCKS * x->count, sizeof(*x->value));
+        x->variance = calloc(x->count, sizeof(*x->variance));
+        if (bake_receiver_has_colour(r->list[i]))
+            x->rgb = calloc(3 * BLOCKS * x->count, sizeof(*x->rgb));
+        m->count = i + 1;
+        if (!x->value || !x->variance || (bake_receiver_has_colour(r->list[i]) && !x->rgb))
+            return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the comparison");
+    }
+    return LMG_OK;
+}
+
+void measured_release(measured *m)
+{
+    for (size_t i = 0; i < m->count; ++i) {
+        free(m->of[i].value);
+        free(m->of[i].variance);
+        free(m->of[i].rgb);
+    }
+    m->count = 0;
+}
+
+/*
+ * Measures a source in blocks, moved by `motion`, with the first `count` receivers; the planes and the far field unmoved as well, into
+ * `unmoved`, unless that is NULL.
+ */
+static lmg_result measure(bake_source *source, const instrument *in, size_t count, const bake_motion *motion, uint64_t first,
+                          uint64_t photons, unsigned threads, measured *out, measured *unmoved, bake_tally *tally, lmg_error *err)
+{
+    lmg_result result = LMG_OK;
+    /* A ray file has so many rays and no more. */
+    const uint64_t has = source->photons, wanted = has && has < photons ? has : photons, each = (wanted + BLOCKS - 1) / BLOCKS;
+    const double lumens_per_unit = source->flux / (double)each;
+    const bool moving = !bake_motion_is_identity(motion);
+    for (int b = 0; result == LMG_OK && b < BLOCKS; ++b) {
+        receivers here = {0}, there = {0};
+        result = create(&here, in, count, err);
+        if (result == LMG_OK && unmoved)
+            result = create(&there, in, in->plane_count + 1, err);
+        if (result == LMG_OK && b == 0)
+            result = make_readings(out, &here, err);
+        if (result == LMG_OK && b == 0 && unmoved)
+            result = make_readings(unmoved, &there, err);
+        if (result == LMG_OK) {
+            lmg_sink sinks[2 * MAX_RECEIVERS], direct[MAX_RECEIVERS + 1];
+            bake_moved_sink moved = {.motion = *motion, .sinks = sinks, .count = sinks_of(&here, sinks)};
+            size_t direct_count = sinks_of(moving ? &there : &here, direct);
+            if (moving)
+                direct[direct_count++] = bake_moved_sink_of(&moved);
+            result = source->run(source, first + (uint64_t)b * each, each, threads, direct, direct_count, tally, err);
+        }
+        for (size_t i = 0; result == LMG_OK && i < here.count; ++i)
+            read_into(&out->of[i], b, here.list[i], lumens_per_unit);
+        for (size_t i = 0; result == LMG_OK && i < there.count; ++i)
+            read_into(&unmoved->of[i], b, there.list[i], lumens_per_unit);
+        destroy(&here);
+        destroy(&there);
+    }
+    return result;
+}
+
+/* Whether the motion makes A more like B: the sum of the squared differences of the planes and the far field, by a tenth of the
+ * photons.  What the foci say is no more than a proposal: along a narrow beam they are hardly determined. */
+static lmg_result is_better_moved(bake_source *a, bake_source *b, const instrument *in, const bake_motion *motion, uint64_t photons,
+                                  unsigned threads, bool *better, lmg_error *err)
+{
+    measured moved = {0}, unmoved = {0}, other = {0};
+    bake_tally tally = {0};
+    const size_t count = in->plane_count + 1;
+    lmg_result result = measure(a, in, count, motion, BAKE_PILOT_FIRST, photons, threads, &moved, &unmoved, &tally, err);
+    if (result == LMG_OK)
+        result = measure(b, in, count, &NO_MOTION, BAKE_PILOT_FIRST, photons, threads, &other, NULL, &tally, err);
+    if (result == LMG_OK) {
+        double sum[2] = {0, 0}, variance[2] = {0, 0};
+        for (size_t i = 0; i < count; ++i)
+            for (int m = 0; m < 2; ++m) {
+                const bake_difference d = differ(m ? &moved.of[i] : &unmoved.of[i], &other.of[i]);
+                sum[m] += d.rms * fabs(d.rms);
+                variance[m] += 4 * d.rms * d.rms * d.standard_error * d.standard_error;
+            }
+        *better = sum[0] - sum[1] > 3 * sqrt(variance[0] + variance[1]);
+    }
+    measured_release(&moved);
+    measured_release(&unmoved);
+    measured_release(&other);
+    return result;
+}
+
+static lmg_result run(bake_source *const sources[2], const bake_compare_options *options, const bake_motion *motion, uint64_t photons,
+                      measured sides[2], measured *unmoved, bake_comparison *out, lmg_error *err)
+{
+    instrument in = {0};
+    set_up_for(&in, sources[0], motion, sources[1], out->axis, options);
+    out->plane_count = in.plane_count;
+    for (size_t i = 0; i < in.plane_count; ++i) {
+        out->planes[i].sizes = options->distances[i];
+        out->planes[i].distance = options->distances[i] * options->size;
+        out->planes[i].side = in.planes[i].width;
+    }
+    for (int i = 0; i < BAKE_VIEWS; ++i) {
+        out->views[i].tilt = VIEWS[i].tilt;
+        out->views[i].turn = VIEWS[i].turn;
+        out->views[i].width = in.pictures[i].across.width;
+    }
+    memcpy(out->radii, RADII, sizeof(RADII));
+    lmg_result result = LMG_OK;
+    for (int s = 0; result == LMG_OK && s < 2; ++s) {
+        const double began = bake_clock();
+        bake_tally *t = &out->tally[s];
+        const bool moving = s == 0 && !bake_motion_is_identity(motion);
+        result = measure(sources[s], &in, in.plane_count + RECEIVERS, s == 0 ? motion : &NO_MOTION, 0, photons, options->threads,
+                         &sides[s], moving ? unmoved : NULL, t, err);
+        out->seconds[s] = bake_clock() - began;
+        const double share = t->escaped / (double)t->photons;
+        out->flux[s] = sources[s]->flux * share;
+        out->flux_se[s] = hypot(sources[s]->flux * bake_share_error(t->escaped, (double)t->photons), sources[s]->flux_se * share);
+    }
+    return result;
+}
+
 lmg_result bake_compare(bake_source *a, bake_source *b, const bake_compare_options *options, bake_comparison *out, lmg_error *err)
 {
     memset(out, 0, sizeof(*out));
     if (options->distance_count < 1 || options->distance_count > BAKE_MAX_DISTANCES || !(options->size > 0))
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "a comparison needs a size and 1 to %d distances", BAKE_MAX_DISTANCES);
-    lmg_result result = main_axis(b, options->threads, &out->axis, err);
-    if (result != LMG_OK)
-        return result;
-    out->size = options->size;
-
-    /* Planes stand clear of both. */
-    const lmg_vec3 lo = {least(a->bounds_min.x, b->bounds_min.x), least(a->bounds_min.y, b->bounds_min.y),
-                         least(a->bounds_min.z, b->bounds_min.z)};
-    const lmg_vec3 hi = {most(a->bounds_max.x, b->bounds_max.x), most(a->bounds_max.y, b->bounds_max.y),
-                         most(a->bounds_max.z, b->bounds_max.z)};
-    bake_rectangle planes[BAKE_MAX_DISTANCES];
-    for (size_t i = 0; i < options->distance_count; ++i) {
+    for (size_t i = 0; i < options->distance_count; ++i)
         if (!(options->distances[i] > 0))
             return lmg_fail(err, LMG_ERROR_ARGUMENT, "a distance of %g sizes isn't outside the luminaire", options->distances[i]);
-        planes[i] = bake_measuring_rectangle(lo, hi, out->axis, options->size, options->distances[i] * options->size, PIXELS);
-        out->planes[i].distance = options->distances[i] * options->size;
-        out->planes[i].side = planes[i].width;
-    }
+    const uint64_t photons = options->photons ? options->photons : DEFAULT_PHOTONS;
+    out->size = options->size;
+    lmg_result result = main_axis(b, options->threads, &out->axis, err);
 
-    bake_source *const sources[2] = {a, b};
-    receivers sides[2] = {{0}, {0}};
-    double lumens_per_unit[2];
-    const uint64_t wanted = options->photons ? options->photons : DEFAULT_PHOTONS;
-    for (int s = 0; result == LMG_OK && s < 2; ++s) {
-        result = create(&sides[s], planes, options->distance_count, out->axis, err);
-        if (result != LMG_OK)
-            break;
-        lmg_sink sinks[BAKE_MAX_DISTANCES + 1];
-        for (size_t i = 0; i < sides[s].count; ++i)
-            sinks[i] = bake_receiver_sink(sides[s].list[i]);
-        const double began = bake_clock();
-        bake_tally *t = &out->tally[s];
-        const uint64_t has = sources[s]->photons, photons = has && has < wanted ? has : wanted;
-        result = sources[s]->run(sources[s], 0, photons, options->threads, sinks, sides[s].count, t, err);
-        out->seconds[s] = bake_clock() - began;
-        lumens_per_unit[s] = sources[s]->flux / (double)photons;
-        out->flux[s] = t->escaped * lumens_per_unit[s];
-        out->flux_se[s] = hypot(sources[s]->flux * bake_share_error(t->escaped, (double)photons),
-                                sources[s]->flux_se * t->escaped / (double)photons);
-    }
+    /* A hundredth of the rays for the alignment, but enough that it can tell a degree. */
+    const uint64_t pilot = photons / 10 > 400000 ? 400000 : photons / 10 < 80000 ? 80000 : photons / 10;
     if (result == LMG_OK)
-        result = evaluate(sides, options, lumens_per_unit, out, err);
-    destroy(&sides[0]);
-    destroy(&sides[1]);
+        result = bake_align(a, b, pilot, options->threads, &out->alignment, err);
+    bake_motion motion = NO_MOTION;
+    if (result == LMG_OK && options->align && !bake_motion_is_identity(&out->alignment.motion)) {
+        instrument in = {0};
+        set_up_for(&in, a, &out->alignment.motion, b, out->axis, options);
+        result = is_better_moved(a, b, &in, &out->alignment.motion, pilot, options->threads, &out->moved, err);
+        if (out->moved)
+            motion = out->alignment.motion;
+    }
+    measured sides[2] = {{0}, {0}}, unmoved = {0};
+    bake_source *const sources[2] = {a, b};
+    if (result == LMG_OK)
+        result = run(sources, options, &motion, photons, sides, &unmoved, out, err);
+    if (result == LMG_OK)
+        result = evaluate(sides, unmoved.count > 0 ? &unmoved : &sides[0], out, err);
+    measured_release(&sides[0]);
+    measured_release(&sides[1]);
+    measured_release(&unmoved);
     return result;
 }

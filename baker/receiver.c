@@ -23,7 +23,7 @@ struct bake_receiver {
     double per_pixel; /* 1 / area, or 1 / (area x projected solid angle of the cone); 1 for spheres */
     size_t count;
     pixel *pixels;
-    atomic_int_least64_t *red, *blue; /* sums of a sphere with colour, else NULL */
+    atomic_int_least64_t *red, *blue; /* sums of a receiver with colour, else NULL */
 };
 
 static double dot(lmg_vec3 a, lmg_vec3 b)
@@ -43,6 +43,10 @@ static void count_ray(bake_receiver *r, size_t i, const lmg_ray *ray)
         return;
     atomic_fetch_add_explicit(&r->pixels[i].sum, (int_least64_t)llrint(y * FIXED), memory_order_relaxed);
     atomic_fetch_add_explicit(&r->pixels[i].squares, (int_least64_t)llrint(y * y * FIXED), memory_order_relaxed);
+    if (r->red) {
+        atomic_fetch_add_explicit(&r->red[i], (int_least64_t)llrint((double)ray->flux[0] * FIXED), memory_order_relaxed);
+        atomic_fetch_add_explicit(&r->blue[i], (int_least64_t)llrint((double)ray->flux[2] * FIXED), memory_order_relaxed);
+    }
 }
 
 /* The pixel of the rectangle that a ray meets; false if it meets none or comes from behind. */
@@ -118,24 +122,23 @@ static void consume_sphere(void *self, const lmg_ray *rays, size_t count)
             d = (lmg_vec3){(p.x + t * d.x) * scale, (p.y + t * d.y) * scale, (p.z + t * d.z) * scale};
         }
         size_t bin;
-        if (!bin_of(r, d, &bin))
-            continue;
-        count_ray(r, bin, &rays[i]);
-        if (r->red && isfinite(rays[i].flux[0]) && isfinite(rays[i].flux[2])) {
-            atomic_fetch_add_explicit(&r->red[bin], (int_least64_t)llrint((double)rays[i].flux[0] * FIXED), memory_order_relaxed);
-            atomic_fetch_add_explicit(&r->blue[bin], (int_least64_t)llrint((double)rays[i].flux[2] * FIXED), memory_order_relaxed);
-        }
+        if (bin_of(r, d, &bin))
+            count_ray(r, bin, &rays[i]);
     }
 }
 
-static lmg_result create(bake_receiver **out, size_t count, lmg_error *err)
+static lmg_result create(bake_receiver **out, size_t count, bool colour, lmg_error *err)
 {
     *out = NULL;
     bake_receiver *r = calloc(1, sizeof(*r));
     if (r)
         r->pixels = calloc(count, sizeof(*r->pixels));
-    if (!r || !r->pixels) {
-        free(r);
+    if (r && colour) {
+        r->red = calloc(count, sizeof(*r->red));
+        r->blue = calloc(count, sizeof(*r->blue));
+    }
+    if (!r || !r->pixels || (colour && (!r->red || !r->blue))) {
+        bake_receiver_destroy(r);
         return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for a receiver of %zu pixels", count);
     }
     r->count = count;
@@ -149,7 +152,7 @@ lmg_result bake_illuminance_create(const bake_rectangle *q, bake_receiver **out,
     if (!(q->width > 0) || !(q->height > 0) || q->nx < 1 || q->ny < 1 || q->nx > 65535 || q->ny > 65535)
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "a receiver of %g x %g m with %u x %u pixels can't measure", q->width, q->height,
                         q->nx, q->ny);
-    const lmg_result result = create(out, (size_t)q->nx * q->ny, err);
+    const lmg_result result = create(out, (size_t)q->nx * q->ny, q->colour, err);
     if (result != LMG_OK)
         return result;
     bake_receiver *r = *out;
@@ -183,7 +186,7 @@ lmg_result bake_sphere_create(const bake_sphere *s, bake_receiver **out, lmg_err
     if (s->rings < 1 || s->sectors < 1 || s->rings > 65535 || s->sectors > 65535 || !(s->radius > 0))
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "a sphere of radius %g m with %u x %u bins can't measure", s->radius, s->rings,
                         s->sectors);
-    const lmg_result result = create(out, (size_t)s->rings * s->sectors, err);
+    const lmg_result result = create(out, (size_t)s->rings * s->sectors, s->colour, err);
     if (result != LMG_OK)
         return result;
     bake_receiver *r = *out;
@@ -195,15 +198,6 @@ lmg_result bake_sphere_create(const bake_sphere *s, bake_receiver **out, lmg_err
     const double length = sqrt(dot(a, a));
     r->rectangle.a = (lmg_vec3){a.x / length, a.y / length, a.z / length};
     r->rectangle.b = cross(s->axis, r->rectangle.a);
-    if (s->colour) {
-        r->red = calloc(r->count, sizeof(*r->red));
-        r->blue = calloc(r->count, sizeof(*r->blue));
-        if (!r->red || !r->blue) {
-            bake_receiver_destroy(r);
-            *out = NULL;
-            return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for a receiver of %zu bins", (size_t)s->rings * s->sectors);
-        }
-    }
     return LMG_OK;
 }
 
@@ -235,6 +229,11 @@ static double sum_of(const bake_receiver *r, size_t i)
 static double squares_of(const bake_receiver *r, size_t i)
 {
     return (double)atomic_load_explicit(&r->pixels[i].squares, memory_order_relaxed) / FIXED;
+}
+
+bool bake_receiver_has_colour(const bake_receiver *r)
+{
+    return r->red != NULL;
 }
 
 lmg_vec3 bake_receiver_direction(const bake_receiver *r, double theta, double phi)

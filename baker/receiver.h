@@ -16,6 +16,7 @@ typedef struct bake_rectangle {
     lmg_vec3 a, b;
     double width, height; /* along a and b, metres */
     uint32_t nx, ny;      /* pixels along a and b */
+    bool colour;          /* R,G,B sums as well */
 } bake_rectangle;
 
 /* The measuring rectangle of the near-field comparisons: perpendicular to axis (a unit vector along +-x, +-y or +-z), `distance`
@@ -61,8 +62,9 @@ size_t bake_receiver_count(const bake_receiver *receiver);
 /* Reading of one pixel (lx) or bin (cd), luminance-weighted, and its standard error (may be NULL). */
 double bake_receiver_reading(const bake_receiver *receiver, size_t i, double lumens_per_unit, double *standard_error);
 
-/* Sum of R,G,B of one bin of a sphere that was created with colour, in the unit of its readings. */
+/* R,G,B of one pixel or bin of a receiver that was created with colour, in the unit of its readings. */
 void bake_receiver_colour(const bake_receiver *receiver, size_t i, double lumens_per_unit, double rgb[3]);
+bool bake_receiver_has_colour(const bake_receiver *receiver);
 /* The direction at polar angle theta and azimuth phi (radians, -pi .. pi) of a sphere's bins: ring i covers theta in its i-th part,
  * sector j phi in its j-th part from -pi on. */
 lmg_vec3 bake_receiver_direction(const bake_receiver *receiver, double theta, double phi);
