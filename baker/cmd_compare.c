@@ -27,12 +27,14 @@ enum {
     KEY_NO_RECIPE,
     KEY_SEED,
     KEY_THREADS,
+    KEY_NO_ALIGN,
+    KEY_TOLERANCE,
     KEY_JSON
 };
 
 static const struct argp_option OPTIONS[] = {
     {"photons", KEY_PHOTONS, "N", 0, "rays from each (default 2e7; of a ray file as many as it has)", 1},
-    {"distances", KEY_DISTANCES, "LIST", 0, "of the planes, in sizes of the lamp (default 0.5,1,2,5)", 1},
+    {"distances", KEY_DISTANCES, "LIST", 0, "of the planes, in sizes of the lamp (default 0.1,0.5,1,2,5,10)", 1},
     {"size", KEY_SIZE, "M", 0, "the lamp's size in metres (default: the luminous opening's diagonal)", 1},
     {"flux", KEY_FLUX, "LM", 0, "what the sources of glTF lamps emit, as in bake", 2},
     {"recipe-a", KEY_RECIPE_A, "FILE", 0, "lamp recipe of A", 2},
@@ -42,13 +44,20 @@ static const struct argp_option OPTIONS[] = {
     {"no-recipe", KEY_NO_RECIPE, 0, 0, "don't look for recipes beside the lamps", 2},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 3},
     {"threads", KEY_THREADS, "N", 0, "default: all cores", 3},
+    {"no-align", KEY_NO_ALIGN, 0, 0, "leave A where it is; by default it is turned and moved onto B if that makes them more alike", 1},
+    {"tolerance", KEY_TOLERANCE, "PERCENT", 0,
+     "end with 4 when the flux, the illuminance on a plane or the far field differ by more (RMS, noise taken out)", 4},
+    {"output", 'o', "REPORT.html", 0, "write a report: one HTML file with tables, maps and plots (needs gnuplot)", 4},
     {"json", KEY_JSON, 0, 0, "result as JSON", 4},
     {0},
 };
 
+static const double DEGREES = 180 / 3.14159265358979323846;
+
 static const char DOC[] = "Lights the same receivers with A and B, each a lamp (.gltf, .glb), a box or a ray file, and says how much they "
                           "differ: flux, illuminance on "
-                          "planes of 32 x 32 pixels across the lamp's main axis, far-field intensity. A is judged against B."
+                          "planes of 32 x 32 pixels across the lamp's main axis, far-field intensity, luminance pictures, colour, virtual focus, "
+                          "the distance from which the far field holds. A is judged against B."
                           "\v'RMS' is the relative RMS difference with the noise of both sides taken out.\n"
                           "Example:\n  lumibake compare lamp.box.exr lamp.gltf --distances 0.5,1,2,5";
 
@@ -64,6 +73,8 @@ typedef struct command {
     bool no_recipe, json;
     double flux_lm;
     uint64_t seed;
+    const char *report; /* NULL = none */
+    double tolerance;   /* relative; 0 = none */
     bake_compare_options options;
 } command;
 
@@ -124,6 +135,15 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case KEY_THREADS:
         c->options.threads = (unsigned)argument_count(state, "--threads", arg, 1, 1024);
         break;
+    case KEY_NO_ALIGN:
+        c->options.align = false;
+        break;
+    case KEY_TOLERANCE:
+        c->tolerance = argument_percent(state, "--tolerance", arg);
+        break;
+    case 'o':
+        c->report = arg;
+        break;
     case KEY_JSON:
         c->json = true;
         break;
@@ -148,6 +168,61 @@ static json_t *difference_json(const bake_difference *d)
                      "raw", json_number(d->raw), "noise", json_number(d->noise), "p99", json_number(d->p99));
 }
 
+static json_t *measures_json(const bake_comparison *r)
+{
+    json_t *list = json_array();
+    for (size_t i = 0; i < r->measure_count; ++i) {
+        const bake_measure *m = &r->measures[i];
+        json_array_append_new(list, json_pack("{s:s, s:s, s:[o,o], s:[o,o], s:o, s:o, s:b, s:b}", "name", m->name, "unit", m->unit, "a",
+                                              json_number(m->a), json_number(m->a_se), "b", json_number(m->b), json_number(m->b_se),
+                                              "difference", json_number(m->difference), "standard_error",
+                                              json_number(m->difference_se), "relative", m->relative, "differs",
+                                              bake_measure_differs(m)));
+    }
+    return list;
+}
+
+static json_t *alignment_json(const bake_comparison *r)
+{
+    const bake_alignment *a = &r->alignment;
+    json_t *rows = json_array();
+    for (int i = 0; i < 3; ++i)
+        json_array_append_new(rows, json_pack("[f,f,f]", a->motion.rotation[i][0], a->motion.rotation[i][1], a->motion.rotation[i][2]));
+    return json_pack("{s:b, s:o, s:[f,f,f], s:f, s:o, s:[o,o,o], s:i}", "applied", r->moved, "rotation", rows, "shift_m",
+                     a->motion.shift.x, a->motion.shift.y, a->motion.shift.z, "angle_deg", a->angle * DEGREES, "angle_standard_error",
+                     json_number(a->angle_se * DEGREES), "shift_standard_error", json_number(a->shift_se.x),
+                     json_number(a->shift_se.y), json_number(a->shift_se.z), "turns_determined", (int)a->turns);
+}
+
+/* The distance from which the far field holds to 1 and 5 %, sizes, by ring of polar angle; null: dark, or beyond what was measured. */
+static json_t *far_field_distances_json(const bake_comparison *r)
+{
+    json_t *rings = json_array();
+    for (uint32_t i = 0; i < r->rings; ++i)
+        json_array_append_new(rings, json_pack("{s:f, s:[o,o], s:[o,o]}", "angle_deg", 180 * (i + 0.5) / r->rings, "1%",
+                                               json_number(r->valid_from[0][0][i]), json_number(r->valid_from[1][0][i]), "5%",
+                                               json_number(r->valid_from[0][1][i]), json_number(r->valid_from[1][1][i])));
+    return rings;
+}
+
+static json_t *views_json(const bake_comparison *r)
+{
+    json_t *views = json_array();
+    for (int i = 0; i < BAKE_VIEWS; ++i)
+        json_array_append_new(views, json_pack("{s:f, s:f, s:o}", "tilt_deg", r->views[i].tilt, "turn_deg", r->views[i].turn, "difference",
+                                               difference_json(&r->views[i].difference)));
+    return views;
+}
+
+/* The largest of what --tolerance judges: flux, planes, far field; relative. */
+static double worst_difference(const bake_comparison *r)
+{
+    double worst = fmax(fabs(r->flux[0] / r->flux[1] - 1), r->far_field.rms);
+    for (size_t i = 0; i < r->plane_count; ++i)
+        worst = fmax(worst, r->planes[i].difference.rms);
+    return worst;
+}
+
 static json_t *comparison_json(const command *c, const bake_comparison *r)
 {
     json_t *sides = json_array();
@@ -159,18 +234,63 @@ static json_t *comparison_json(const command *c, const bake_comparison *r)
     json_t *planes = json_array();
     for (size_t i = 0; i < c->options.distance_count; ++i)
         json_array_append_new(
-            planes, json_pack("{s:f, s:f, s:f, s:[o,o], s:[o,o], s:o}", "distance_sizes", c->options.distances[i], "distance_m",
+            planes, json_pack("{s:f, s:f, s:f, s:[o,o], s:[o,o], s:o, s:o}", "distance_sizes", c->options.distances[i], "distance_m",
                               r->planes[i].distance, "side_m", r->planes[i].side, "mean_lx", json_number(r->planes[i].mean[0]),
                               json_number(r->planes[i].mean[1]), "mean_standard_error", json_number(r->planes[i].mean_se[0]),
-                              json_number(r->planes[i].mean_se[1]), "difference", difference_json(&r->planes[i].difference)));
-    return json_pack("{s:s, s:o, s:[f,f,f], s:f, s:o, s:o}", "format", "lumibake compare 1", "sides", sides, "axis", r->axis.x,
-                     r->axis.y, r->axis.z, "size_m", r->size, "planes", planes, "far_field", difference_json(&r->far_field));
+                              json_number(r->planes[i].mean_se[1]), "difference", difference_json(&r->planes[i].difference),
+                              "unaligned", difference_json(&r->planes[i].unmoved)));
+    json_t *result = json_pack("{s:s, s:o, s:[f,f,f], s:f, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:f}", "format", "lumibake compare 2", "sides", sides,
+                               "axis", r->axis.x, r->axis.y, r->axis.z, "size_m", r->size, "alignment", alignment_json(r), "planes",
+                               planes, "far_field", difference_json(&r->far_field), "far_field_unaligned",
+                               difference_json(&r->far_field_unmoved), "measures", measures_json(r), "views", views_json(r),
+                               "far_field_from_sizes", far_field_distances_json(r), "worst_difference", worst_difference(r));
+    if (c->tolerance > 0)
+        json_object_set_new(result, "within_tolerance", json_boolean(worst_difference(r) <= c->tolerance));
+    return result;
 }
 
 static void print_difference(const bake_difference *d)
 {
     printf("%7.2f +- %-5.2f %8.2f %8.2f %8.2f\n", 100 * d->rms, 100 * d->standard_error, 100 * d->raw, 100 * d->noise,
            100 * d->p99);
+}
+
+/* "1.23 +- 0.04", or a dash. */
+static const char *figure(char text[48], double value, double se)
+{
+    if (!isfinite(value))
+        snprintf(text, 48, "-");
+    else
+        snprintf(text, 48, "%.5g +- %.2g", value, se);
+    return text;
+}
+
+static void print_alignment(const bake_comparison *r)
+{
+    const bake_alignment *a = &r->alignment;
+    if (bake_motion_is_identity(&a->motion)) {
+        printf("alignment: A lies on B\n");
+        return;
+    }
+    const lmg_vec3 t = a->motion.shift, se = a->shift_se;
+    printf("alignment: A turned by %.3g +- %.2g degrees, shifted by %.4g %.4g %.4g mm (+- %.2g %.2g %.2g)%s\n", a->angle * DEGREES,
+           a->angle_se * DEGREES, 1e3 * t.x, 1e3 * t.y, 1e3 * t.z, 1e3 * se.x, 1e3 * se.y, 1e3 * se.z,
+           r->moved ? "" : "; not applied");
+}
+
+static void print_measures(const bake_comparison *r)
+{
+    printf("\n%-28s %22s %22s %22s\n", "", "A", "B", "difference");
+    for (size_t i = 0; i < r->measure_count; ++i) {
+        const bake_measure *m = &r->measures[i];
+        if (!isfinite(m->difference) || (m->a == 0 && m->b == 0)) /* no such light */
+            continue;
+        char name[96], a[48], b[48], d[48];
+        snprintf(name, sizeof(name), "%s%s%s", m->name, m->unit[0] ? ", " : "", m->unit);
+        const double scale = m->relative ? 100 : 1;
+        printf("%-28s %22s %22s %22s%s%s\n", name, figure(a, m->a, m->a_se), figure(b, m->b, m->b_se),
+               figure(d, scale * m->difference, scale * m->difference_se), m->relative ? " %" : "", bake_measure_differs(m) ? "  differs" : "");
+    }
 }
 
 static void print_comparison(const command *c, const bake_comparison *r)
@@ -180,6 +300,7 @@ static void print_comparison(const command *c, const bake_comparison *r)
                r->flux_se[s], 1e-6 * (double)r->tally[s].photons, r->seconds[s]);
     const double se = hypot(r->flux_se[0], r->flux_se[1]);
     printf("flux A - B: %+.4f +- %.4f %%\n", 100 * (r->flux[0] - r->flux[1]) / r->flux[1], 100 * se / r->flux[1]);
+    print_alignment(r);
     printf("size %.4g m, planes across %+g %+g %+g\n\n", r->size, r->axis.x, r->axis.y, r->axis.z);
     printf("                                             difference, %% of B's RMS\n");
     printf("distance      plane      mean A      mean B        RMS +- s.e.      raw    noise  99th pc\n");
@@ -191,6 +312,10 @@ static void print_comparison(const command *c, const bake_comparison *r)
     }
     printf("%-43s ", "far-field intensity");
     print_difference(&r->far_field);
+    print_measures(r);
+    if (c->tolerance > 0)
+        printf("\nlargest difference %.3g %%: %s %.3g %%\n", 100 * worst_difference(r),
+               worst_difference(r) <= c->tolerance ? "within" : "more than", 100 * c->tolerance);
 }
 
 static lmg_result compare(command *c, bake_comparison *r, lmg_error *err)
@@ -221,12 +346,12 @@ static lmg_result compare(command *c, bake_comparison *r, lmg_error *err)
 int cmd_compare(int argc, char **argv)
 {
     static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "A B", .doc = DOC};
-    command c = {.seed = 1, .options = {.distance_count = 4, .distances = {0.5, 1, 2, 5}}};
+    command c = {.seed = 1, .options = {.distance_count = 6, .distances = {0.1, 0.5, 1, 2, 5, 10}, .align = true}};
     argp_parse(&ARGP, argc, argv, 0, NULL, &c);
 
     lmg_error err = {{0}};
-    bake_comparison r;
-    const lmg_result result = compare(&c, &r, &err);
+    bake_comparison r = {0};
+    lmg_result result = compare(&c, &r, &err);
     int code = result == LMG_OK ? EXIT_DONE : report_error(result, &err);
     if (result == LMG_OK) {
         bool printed;
@@ -241,6 +366,15 @@ int cmd_compare(int argc, char **argv)
             code = report_failure(&err);
         }
     }
+    if (result == LMG_OK && c.report) {
+        const char *const names[2] = {c.sides[0].lamp.path, c.sides[1].lamp.path};
+        result = bake_comparison_report(&r, names, c.report, &err);
+        if (result != LMG_OK)
+            code = report_failure(&err);
+    }
+    if (code == EXIT_DONE && c.tolerance > 0 && !(worst_difference(&r) <= c.tolerance))
+        code = EXIT_DIFFERENT;
+    bake_comparison_release(&r);
     close_source(&c.sides[0].opened);
     close_source(&c.sides[1].opened);
     return code;

@@ -250,7 +250,7 @@ static lmg_result measure(bake_source *source, const instrument *in, size_t coun
     lmg_result result = LMG_OK;
     /* A ray file has so many rays and no more. */
     const uint64_t has = source->photons, wanted = has && has < photons ? has : photons, each = (wanted + BLOCKS - 1) / BLOCKS;
-    const double lumens_per_unit = source->flux / (double)each;
+    const double lumens_per_unit = source->flux * BLOCKS / (double)wanted;
     const bool moving = !bake_motion_is_identity(motion);
     for (int b = 0; result == LMG_OK && b < BLOCKS; ++b) {
         receivers here = {0}, there = {0};
@@ -267,7 +267,9 @@ static lmg_result measure(bake_source *source, const instrument *in, size_t coun
             size_t direct_count = sinks_of(moving ? &there : &here, direct);
             if (moving)
                 direct[direct_count++] = bake_moved_sink_of(&moved);
-            result = source->run(source, first + (uint64_t)b * each, each, threads, direct, direct_count, tally, err);
+            const uint64_t done = (uint64_t)b * each, count_here = done >= wanted ? 0 : wanted - done < each ? wanted - done : each;
+            if (count_here > 0)
+                result = source->run(source, first + done, count_here, threads, direct, direct_count, tally, err);
         }
         for (size_t i = 0; result == LMG_OK && i < here.count; ++i)
             read_into(&out->of[i], b, here.list[i], lumens_per_unit);

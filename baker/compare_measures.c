@@ -396,7 +396,9 @@ static void compute(const means m[2], catalogue *c, figures *f)
 
 bool bake_measure_differs(const bake_measure *m)
 {
-    return fabs(m->difference - m->none) > 3 * m->difference_se;
+    /* Differences of equal things come out as rounding, with as little error. */
+    const double rounding = 1e-9 * fmax(1, fmax(isfinite(m->a) ? fabs(m->a) : 0, isfinite(m->b) ? fabs(m->b) : 0));
+    return fabs(m->difference - m->none) > 3 * m->difference_se + rounding;
 }
 
 /* A figure without its noise bias, and its standard error. */
@@ -464,7 +466,7 @@ static lmg_result evaluate_distances(const figures *value, const figures *error,
             return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the comparison");
         for (size_t i = 0; i < NEAR_RINGS * BAKE_RADII; ++i) {
             const double square = value->deviation[s][i], se = error->deviation[s][i];
-            out->deviation[s][i] = isnan(square) ? NAN : sqrt(fmax(square, 0));
+            out->deviation[s][i] = isnan(square) ? (double)NAN : sqrt(fmax(square, 0));
             out->deviation_se[s][i] = se / (2 * fmax(out->deviation[s][i], 0.5 * sqrt(se)));
         }
         for (int ring = 0; ring < NEAR_RINGS; ++ring) {

@@ -123,6 +123,8 @@ static void add_measures(bake_page *page, const bake_comparison *c)
     bake_page_table(page, "measure\tA\tB\tdifference\tverdict");
     for (size_t i = 0; i < c->measure_count; ++i) {
         const bake_measure *m = &c->measures[i];
+        if (m->a == 0 && m->b == 0) /* no such light */
+            continue;
         char a[64], b[64], d[64];
         const double scale = m->relative ? 100 : 1;
         with_error(d, scale * m->difference, scale * m->difference_se);

@@ -32,7 +32,7 @@ static const char STYLE[] = "body{font:15px/1.5 system-ui,sans-serif;max-width:7
                             "h1{font-size:1.6em}h2{font-size:1.25em;margin-top:2em}table{border-collapse:collapse;margin:1em 0}"
                             "td,th{padding:.2em .8em;border-bottom:1px solid #ddd;text-align:right}"
                             "td:first-child,th:first-child{text-align:left}th{border-bottom:2px solid #888}"
-                            ".plots{display:flex;flex-wrap:wrap;gap:1em}svg{max-width:100%}";
+                            ".plots{display:flex;gap:1em}.plots svg{flex:1 1 30%;min-width:0}svg{max-width:48em;height:auto;display:block}";
 
 static void escape(FILE *to, const char *text)
 {
@@ -315,9 +315,9 @@ void bake_page_maps(bake_page *p, const bake_map *maps, size_t count)
                         isfinite(v) ? v : 0);
             }
         fputs("END\nset title ", s);
-        quoted(s, map->title);
-        fputs("\nset cblabel ", s);
-        quoted(s, map->unit);
+        char title[256];
+        snprintf(title, sizeof(title), "%s, %s", map->title, map->unit);
+        quoted(s, title);
         const double most = map->most > map->least ? map->most : map->least + 1;
         fprintf(s, "\nunset key\nunset grid\nset size ratio -1\nset format '%%g'\nset palette defined (%s)\n",
                 map->diverging ? "0 '#2166ac', 0.5 'white', 1 '#b2182b'" : "0 'black', 0.35 '#7a1f5c', 0.7 '#f08030', 1 '#ffffd0'");

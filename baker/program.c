@@ -89,6 +89,15 @@ uint64_t argument_count(const struct argp_state *state, const char *option, cons
     return (uint64_t)value;
 }
 
+double argument_percent(const struct argp_state *state, const char *option, const char *text)
+{
+    char *end;
+    const double value = strtod(text, &end);
+    if (end == text || (*end && strcmp(end, "%") != 0) || !(value > 0) || !(value <= 1000))
+        usage_error(state, "%s: '%s' is not a percentage such as 1%% (more than 0, at most 1000)", option, text);
+    return value / 100;
+}
+
 double argument_seconds(const struct argp_state *state, const char *option, const char *text)
 {
     char *end;

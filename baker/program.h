@@ -12,7 +12,7 @@
 struct lum_model;
 struct lum_recipe;
 
-enum { EXIT_DONE = 0, EXIT_FAILED = 1, EXIT_USAGE = 2, EXIT_INPUT = 3, EXIT_INTERRUPTED = 130 };
+enum { EXIT_DONE = 0, EXIT_FAILED = 1, EXIT_USAGE = 2, EXIT_INPUT = 3, EXIT_DIFFERENT = 4, EXIT_INTERRUPTED = 130 };
 
 /* The commands: argv[0] is "lumibake NAME"; the exit code. */
 int cmd_bake(int argc, char **argv);
@@ -35,6 +35,7 @@ _Noreturn void usage_error(const struct argp_state *state, const char *format, .
 double argument_number(const struct argp_state *state, const char *option, const char *text, double least, double most);
 uint64_t argument_count(const struct argp_state *state, const char *option, const char *text, uint64_t least,
                         uint64_t most);                                                        /* "1e8" */
+double argument_percent(const struct argp_state *state, const char *option, const char *text); /* "1%" or "1" -> 0.01 */
 double argument_seconds(const struct argp_state *state, const char *option, const char *text); /* "90s" "2m" "1h" */
 double argument_lumens(const struct argp_state *state, const char *option, const char *text);  /* "800lm" */
 lmg_layout_choice argument_layout(const struct argp_state *state, const char *text);           /* --layout "cube" */
