@@ -100,7 +100,7 @@ lmg_result bake_source_size(bake_source *source, unsigned threads, double *size,
 lmg_result bake_compare(bake_source *a, bake_source *b, const bake_compare_options *options, bake_comparison *out, lmg_error *err);
 void bake_comparison_release(bake_comparison *comparison);
 
-/* Writes the comparison as one HTML file; names: what A and B are called. */
-lmg_result bake_comparison_report(const bake_comparison *comparison, const char *const names[2], const char *path, lmg_error *err);
+/* Writes the comparison as one HTML file; paths: of A and B, to name them by. */
+lmg_result bake_comparison_report(const bake_comparison *comparison, const char *const paths[2], const char *path, lmg_error *err);
 
 #endif

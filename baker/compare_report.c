@@ -6,6 +6,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 static const double PI = 3.14159265358979323846;
 
@@ -177,8 +178,15 @@ static void add_pictures(bake_page *page, const bake_comparison *c)
     }
 }
 
-lmg_result bake_comparison_report(const bake_comparison *c, const char *const names[2], const char *path, lmg_error *err)
+static const char *file_name(const char *path)
 {
+    const char *slash = strrchr(path, '/');
+    return slash ? slash + 1 : path;
+}
+
+lmg_result bake_comparison_report(const bake_comparison *c, const char *const paths[2], const char *path, lmg_error *err)
+{
+    const char *const names[2] = {file_name(paths[0]), file_name(paths[1])};
     bake_page *page;
     lmg_result result = bake_page_create("Comparison of two luminaires", &page, err);
     if (result != LMG_OK)

@@ -339,8 +339,8 @@ static void test_compare(void **state)
     assert_true(ea > 0 && eb > 0);
     assert_true(fabs(a - b) < 4 * hypot(ea, eb));
     json_t *planes = json_object_get(j, "planes");
-    assert_int_equal(json_array_size(planes), 4);
-    for (size_t i = 0; i < 4; ++i) {
+    assert_int_equal(json_array_size(planes), 6);
+    for (size_t i = 1; i < 6; ++i) { /* at 0.1 sizes the cells of a short bake show */
         json_t *d = json_object_get(json_array_get(planes, i), "difference");
         assert_true(number_at(d, "raw", NULL) > fabs(number_at(d, "rms", NULL)));
         assert_true(number_at(d, "rms", NULL) < 0.1);
@@ -362,6 +362,32 @@ static void test_compare(void **state)
     assert_int_equal(o.code, 0);
     assert_non_null(strstr(o.out, "far-field"));
     release(&o);
+    /* a tolerance decides the exit code: two lamps of different flux */
+    o = RUN("compare", lamp, lamp, "--photons", "1e5", "--tolerance", "30%");
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "within 30 %"));
+    release(&o);
+    o = RUN("compare", lamp, lamp, "--photons", "1e5", "--tolerance", "0.0001%");
+    assert_int_equal(o.code, 4);
+    release(&o);
+    EXPECT(RUN("compare", lamp, lamp, "--tolerance", "much"), 2, "much");
+    /* the report: one file that needs nothing beside it, with plots */
+    char report[1200];
+    snprintf(report, sizeof(report), "%s", in_folder("report.html"));
+    o = RUN("compare", lamp, lamp, "--photons", "1e5", "--distances", "1", "-o", report);
+    assert_int_equal(o.code, 0);
+    release(&o);
+    FILE *file = fopen(report, "rb");
+    assert_non_null(file);
+    static char text[8 << 20];
+    text[fread(text, 1, sizeof(text) - 1, file)] = 0;
+    fclose(file);
+    assert_non_null(strstr(text, "<svg"));
+    assert_non_null(strstr(text, "virtual focus"));
+    assert_non_null(strstr(text, "</html>"));
+    assert_null(strstr(text, "href=\"http"));
+    assert_null(strstr(text, "src=\"http"));
+    EXPECT(RUN("compare", lamp, lamp, "--photons", "1e5", "--distances", "1", "-o", "/no/such/folder/report.html"), 1, "report.html");
 }
 
 /* ------------------------------------------------------------------------------------------------------------ bad input */

@@ -9,6 +9,7 @@
 #include <cmocka.h>
 
 #include "align.h"
+#include "compare.h"
 
 #include <luminaires/rng.h>
 
@@ -140,9 +141,55 @@ static void test_known_motion(void **state)
     }
 }
 
+/* The comparison moves A onto B when that makes them more alike, says how unlike they were before, and finds no difference after. */
+static void test_comparison_aligns(void **state)
+{
+    (void)state;
+    const double c = cos(0.4), s = sin(0.4);
+    lamp a = make(2, 5, (lmg_vec3){0, 0, 0}), b = make(2, 6, (lmg_vec3){0, 0, 0});
+    b.motion = (bake_motion){.rotation = {{c, 0, s}, {0, 1, 0}, {-s, 0, c}}, .shift = {0.02, -0.03, 0.01}};
+    const bake_compare_options options = {.photons = 800000, .threads = 1, .size = 0.3, .distance_count = 2, .distances = {0.5, 2}, .align = true};
+    bake_comparison r;
+    assert_int_equal(bake_compare(&a.source, &b.source, &options, &r, NULL), LMG_OK);
+    assert_true(r.moved);
+    assert_true(fabs(r.alignment.angle - 0.4) < 4 * r.alignment.angle_se);
+    for (size_t i = 0; i < 2; ++i) {
+        print_message("%g sizes: %.4f before, %.4f +- %.4f after\n", r.planes[i].sizes, r.planes[i].unmoved.rms, r.planes[i].difference.rms,
+                      r.planes[i].difference.standard_error);
+        assert_true(r.planes[i].unmoved.rms > 0.05);
+        /* What is left is the error of the alignment itself: half a degree. */
+        assert_true(r.planes[i].difference.rms < 0.2 * r.planes[i].unmoved.rms);
+    }
+    bake_comparison_release(&r);
+
+    /* Left where it is when not asked for. */
+    bake_compare_options still = options;
+    still.align = false;
+    assert_int_equal(bake_compare(&a.source, &b.source, &still, &r, NULL), LMG_OK);
+    assert_true(!r.moved);
+    assert_true(r.planes[0].difference.rms > 0.05);
+    bake_comparison_release(&r);
+
+    /* Equal lamps: no measure differs by more than chance; each is beyond three standard errors once in 370 times (with eight blocks in 60),
+     * there are some fifty, so five are too many. */
+    b.motion = (bake_motion){.rotation = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+    assert_int_equal(bake_compare(&a.source, &b.source, &options, &r, NULL), LMG_OK);
+    assert_true(!r.moved);
+    int different = 0;
+    for (size_t i = 0; i < r.measure_count; ++i)
+        different += bake_measure_differs(&r.measures[i]);
+    print_message("%d of %zu measures differ\n", different, r.measure_count);
+    assert_true(r.measure_count > 40 && different < 5);
+    /* Light from two points 20 mm apart (size 0.3 m) follows the far field to 5 % from two sizes on in every ring that is lit. */
+    for (uint32_t i = 0; i < r.rings; ++i)
+        if (!isnan(r.valid_from[1][1][i]))
+            assert_true(r.valid_from[1][1][i] < 7);
+    bake_comparison_release(&r);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {cmocka_unit_test(test_equal_sources_stay), cmocka_unit_test(test_focus_of_a_point),
-                                       cmocka_unit_test(test_known_motion)};
+                                       cmocka_unit_test(test_known_motion), cmocka_unit_test(test_comparison_aligns)};
     return cmocka_run_group_tests_name("align", tests, NULL, NULL);
 }
