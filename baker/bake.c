@@ -8,6 +8,7 @@
 #include "effects.h"
 #include "part.h"
 #include "receiver.h"
+#include "team.h"
 
 #include <luminaires/model.h>
 
@@ -216,9 +217,22 @@ static void tell_progress(const bake *b, double seconds_left)
 
 static lmg_result write_checkpoint(bake *b, lmg_error *err)
 {
+    if (!b->options->checkpoint)
+        return LMG_OK;
     const lmg_result result = bake_part_write(b->part, b->options->checkpoint, err);
     b->report->checkpointed |= result == LMG_OK;
     return result;
+}
+
+/* The photons of the next round, at most `most`: with a team those that nobody has been given, else those that the part lacks. */
+static bool next_photons(const bake *b, bake_team *team, uint64_t most, uint64_t *first, uint64_t *count)
+{
+    if (team)
+        return team->take(team, most, first, count);
+    if (!bake_part_gap(b->part, b->options->first, end_of(b->options), first, count))
+        return false;
+    *count = *count < most ? *count : most;
+    return true;
 }
 
 /* Rounds until the photons are traced, the time is up (deadline, by bake_clock) or somebody says stop. */
@@ -232,20 +246,37 @@ static lmg_result trace(bake *b, double deadline, lmg_error *err)
     double checkpoint_due = o->checkpoint ? began + between : (double)INFINITY;
     double rate = b->report->resumed ? (double)part->tally.photons / fmax(before, 1e-6)
                                      : (double)part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6);
-    uint64_t first, round;
-    while (bake_part_gap(part, o->first, end_of(o), &first, &round)) {
+    bake_team *team = o->team;
+    if (team) {
+        const lmg_result result = team->invite(team, part, o->first, end_of(o), err);
+        if (result != LMG_OK)
+            return result;
+    }
+    bool done = b->report->resumed && began >= deadline;
+    for (;;) {
         const double now = bake_clock();
-        if (b->report->resumed && now >= deadline)
-            break;
         const double want = rate * fmin(ROUND_SECONDS, deadline - now);
-        const uint64_t most = want < (double)ROUND_MIN ? ROUND_MIN : (uint64_t)want;
-        round = round < most ? round : most;
+        uint64_t first, round;
+        if (done || !next_photons(b, team, want < (double)ROUND_MIN ? ROUND_MIN : (uint64_t)want, &first, &round)) {
+            if (!team)
+                break;
+            /* what is there is safe before anything is waited for; photons that don't come back are traced below */
+            lmg_result result = b->report->interrupted ? write_checkpoint(b, err) : LMG_OK;
+            if (result == LMG_OK)
+                result = team->gather(team, part, err);
+            if (result != LMG_OK)
+                return result;
+            team = NULL;
+            continue;
+        }
         lmg_result result = b->tracer->run(b->tracer, first, round, o->threads, &sink, 1, &part->tally, err);
         if (result == LMG_OK)
             result = bake_part_add_range(part, first, round, err);
         const double after = bake_clock();
         part->seconds = before + after - began;
         rate = (double)round / fmax(after - now, 1e-6);
+        if (result == LMG_OK && team)
+            result = team->serve(team, part, err);
         tell_progress(b, deadline - after);
         if (result == LMG_OK && after >= checkpoint_due) {
             result = write_checkpoint(b, err);
@@ -253,13 +284,15 @@ static lmg_result trace(bake *b, double deadline, lmg_error *err)
         }
         if (result != LMG_OK)
             return result;
-        if (after >= deadline)
-            break;
-        if (stopped(b)) {
+        done = after >= deadline;
+        if (!done && stopped(b)) {
             b->report->interrupted = bake_part_gap(part, o->first, end_of(o), &first, &round);
-            break;
+            done = true;
         }
     }
+    part->seconds = before + bake_clock() - began;
+    if (b->report->interrupted && o->photons) /* the others may have had all that was left */
+        b->report->interrupted = part->tally.photons < o->photons;
     if (o->checkpoint && (o->keep || b->report->interrupted || b->report->checkpointed))
         return write_checkpoint(b, err);
     return LMG_OK;

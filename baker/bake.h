@@ -12,6 +12,7 @@
 
 struct lum_model;
 struct bake_part;
+struct bake_team;
 
 /* What a running bake knows about itself. */
 typedef struct bake_progress {
@@ -43,6 +44,7 @@ typedef struct bake_options {
     double checkpoint_seconds; /* between two of them; 0 = 60 */
     bool keep;                 /* write it at the end too, whatever the bake's length */
     struct bake_part *resume;  /* go on from here: photons that it has aren't traced again; taken over.  NULL = from the start */
+    struct bake_team *team;    /* other processes that help (team.h); NULL = none */
 } bake_options;
 
 typedef struct bake_report {

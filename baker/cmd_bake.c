@@ -5,6 +5,7 @@
 #include "bake.h"
 #include "effects.h"
 #include "part.h"
+#include "team.h"
 
 #include <luminaires/model.h>
 
@@ -422,40 +423,64 @@ static lmg_result find_checkpoint(command *c, lmg_error *err)
     return LMG_OK;
 }
 
+/* Joins in the bake of another process.  loaded: how reading the lamp went here. */
+static int help(const command *c, const lum_model *model, lmg_result loaded, lmg_error *err)
+{
+    const lmg_result result = bake_team_work(c->bake.team, model, &c->bake, loaded != LMG_OK, err);
+    if (result != LMG_OK)
+        return report_error(loaded != LMG_OK ? loaded : result, err);
+    return loaded == LMG_OK ? EXIT_DONE : EXIT_INPUT; /* the first process couldn't read it either, and says so */
+}
+
+/* Everything between joining the team and leaving it. */
+static int bake_or_help(command *c)
+{
+    const double began = bake_clock();
+    const bool helps = bake_team_is_helper(c->bake.team);
+    lmg_error err = {{0}};
+    lum_model *model = NULL;
+    char *recipe_text = NULL, recipe[1024];
+    if (!helps && check_output(c->output, &c->lamp.path, 1, &err) != LMG_OK)
+        return report_failure(&err);
+    lmg_result result = lamp_load(&c->lamp, &model, &recipe_text, recipe, &err);
+    int code;
+    if (helps) {
+        c->bake.stop = catch_interrupts();
+        code = help(c, model, result, &err);
+    } else {
+        if (result == LMG_OK)
+            result = find_checkpoint(c, &err);
+        if (result != LMG_OK) {
+            code = report_error(result, &err);
+        } else {
+            if (!c->quiet && recipe[0] && !c->lamp.recipe_path)
+                fprintf(stderr, "using the recipe %s\n", recipe);
+            for (uint32_t i = 0; !c->quiet && i < model->warning_count; ++i)
+                fprintf(stderr, "warning: %s\n", model->warnings[i]);
+            c->bake.recipe = recipe_text;
+            code = bake_lamp(c, model, recipe, began);
+        }
+    }
+    free(recipe_text);
+    lum_model_destroy(model);
+    return code;
+}
+
 int cmd_bake(int argc, char **argv)
 {
     static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "LAMP -o BOX", .doc = DOC};
     command c = {.bake = {.seed = 1}};
     argp_parse(&ARGP, argc, argv, 0, NULL, &c);
 
-    const double began = bake_clock();
     lmg_error err = {{0}};
-    lum_model *model = NULL;
-    char *recipe_text = NULL, recipe[1024];
-    if (check_output(c.output, &c.lamp.path, 1, &err) != LMG_OK)
-        return report_failure(&err);
     if (snprintf(c.part, sizeof(c.part), "%s.part", c.output) >= (int)sizeof(c.part)) {
         lmg_fail(&err, LMG_ERROR_FILE_OPEN, "the name of the output is too long");
         return report_failure(&err);
     }
     c.bake.checkpoint = c.part;
-    lmg_result result = lamp_load(&c.lamp, &model, &recipe_text, recipe, &err);
-    if (result == LMG_OK)
-        result = find_checkpoint(&c, &err);
-    if (result != LMG_OK) {
-        free(recipe_text);
-        lum_model_destroy(model);
-        return report_error(result, &err);
-    }
-    if (!c.quiet) {
-        if (recipe[0] && !c.lamp.recipe_path)
-            fprintf(stderr, "using the recipe %s\n", recipe);
-        for (uint32_t i = 0; i < model->warning_count; ++i)
-            fprintf(stderr, "warning: %s\n", model->warnings[i]);
-    }
-    c.bake.recipe = recipe_text;
-    const int code = bake_lamp(&c, model, recipe, began);
-    free(recipe_text);
-    lum_model_destroy(model);
+    if (bake_team_join(&c.bake.team, &err) != LMG_OK)
+        return report_failure(&err);
+    const int code = bake_or_help(&c);
+    bake_team_leave(c.bake.team, code);
     return code;
 }

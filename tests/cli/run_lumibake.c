@@ -56,9 +56,9 @@ const char *in_folder(const char *name)
     return path;
 }
 
-pid_t start(const char *const *args)
+pid_t start_program(const char *program, const char *const *args)
 {
-    char *argv[32] = {(char *)(uintptr_t)LUMIBAKE};
+    char *argv[32] = {(char *)(uintptr_t)program};
     int n = 1;
     for (; args[n - 1]; ++n) {
         assert_true(n < 31);
@@ -79,6 +79,11 @@ pid_t start(const char *const *args)
         _exit(127);
     }
     return pid;
+}
+
+pid_t start(const char *const *args)
+{
+    return start_program(LUMIBAKE, args);
 }
 
 outcome finish(pid_t pid)

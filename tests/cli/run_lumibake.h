@@ -25,6 +25,7 @@ void write_file(const char *path, const void *bytes, size_t size);
 
 /* Starts the program with these arguments (the last one NULL); one at a time. */
 pid_t start(const char *const *args);
+pid_t start_program(const char *program, const char *const *args);
 outcome finish(pid_t pid);
 outcome run_args(const char *const *args);
 #define RUN(...) run_args((const char *const[]){__VA_ARGS__, NULL})

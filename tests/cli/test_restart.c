@@ -286,6 +286,86 @@ static void test_more_photons(void **state)
     same_file(whole.text, box.text);
 }
 
+/* ----------------------------------------------------------------------------------------------------------------- MPI */
+
+#ifdef MPIRUN
+static pid_t start_team(const char *const *args)
+{
+    const char *all[32] = {"--oversubscribe", "--bind-to", "none", "-n", "3", LUMIBAKE, "bake"};
+    int n = 7;
+    while (*args)
+        all[n++] = *args++;
+    return start_program(MPIRUN, all);
+}
+
+/* The last child of a process, 0 if it has none yet. */
+static pid_t last_child(pid_t parent)
+{
+    char path[64];
+    snprintf(path, sizeof(path), "/proc/%d/task/%d/children", (int)parent, (int)parent);
+    FILE *f = fopen(path, "r");
+    int child, last = 0;
+    while (f && fscanf(f, "%d", &child) == 1)
+        last = child;
+    if (f)
+        fclose(f);
+    return (pid_t)last;
+}
+#endif
+
+/* Three processes give the bytes of one; when one of them is killed, resuming from the checkpoint does. */
+static void test_mpi(void **state)
+{
+    (void)state;
+#ifndef MPIRUN
+    print_message("skipped: test_mpi: built without MPI\n");
+    skip();
+#else
+    setenv("OMPI_ALLOW_RUN_AS_ROOT", "1", 1);
+    setenv("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1", 1);
+    setenv("ASAN_OPTIONS", "detect_leaks=0", 1); /* Open MPI's own */
+    const name whole = path_of("whole.box.exr"), box = path_of("team.box.exr"), part = path_of("team.box.exr.part");
+    unlink(part.text);
+    BAKE(globe, "-o", whole.text, "--photons", "2e6");
+    outcome o = finish(start_team((const char *const[]){globe, "-o", box.text, "--photons", "2e6", "--cells", "1e5", "--threads", "1",
+                                                        "--checkpoint", "0.5s", "-q", NULL}));
+    if (o.code != 0)
+        fail_msg("exit code %d: %s", o.code, o.err);
+    release(&o);
+    same_file(whole.text, box.text);
+    assert_false(exists(part.text));
+
+    const pid_t pid = start_team((const char *const[]){globe, "-o", box.text, "--photons", "2e9", "--pilot", "100000", "--cells", "1e5",
+                                                       "--threads", "1", "--checkpoint", "0.5s", "-q", NULL});
+    for (int i = 0; i < 600 && !exists(part.text); ++i)
+        pause_seconds(0.1);
+    assert_true(exists(part.text));
+    const pid_t victim = last_child(pid);
+    assert_true(victim > 0 && kill(victim, SIGKILL) == 0);
+    o = finish(pid);
+    assert_true(o.code != 0); /* mpirun ends all when one dies */
+    release(&o);
+    o = RUN("merge", part.text, "-o", path_of("look.box.exr").text, "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = json_loads(o.out, 0, NULL);
+    const json_int_t photons = json_integer_value(json_object_get(j, "photons"));
+    json_t *ranges = json_object_get(j, "ranges"), *last = json_array_get(ranges, json_array_size(ranges) - 1);
+    /* gaps are what was handed out and hadn't come back: a bake of all up to the last one fills them */
+    char all[32];
+    const json_int_t end = json_integer_value(json_array_get(last, 0)) + json_integer_value(json_array_get(last, 1));
+    snprintf(all, sizeof(all), "%lld", (long long)end);
+    json_decref(j);
+    release(&o);
+    assert_true(photons > 0 && photons <= end);
+    BAKE(globe, "-o", box.text, "--photons", all, "--resume");
+    BAKE(globe, "-o", whole.text, "--photons", all, "--pilot", "100000");
+    same_file(whole.text, box.text);
+    unsetenv("ASAN_OPTIONS");
+
+    EXPECT(finish(start_team((const char *const[]){"missing.gltf", "-o", box.text, NULL})), 3, "missing.gltf");
+#endif
+}
+
 static int setup(void **state)
 {
     (void)state;
@@ -303,7 +383,7 @@ int main(void)
         cmocka_unit_test(test_seven_uneven_parts),      cmocka_unit_test(test_shares),
         cmocka_unit_test(test_strangers_are_refused),   cmocka_unit_test(test_damaged_parts),
         cmocka_unit_test(test_interrupted_and_resumed), cmocka_unit_test(test_killed_and_resumed),
-        cmocka_unit_test(test_more_photons),
+        cmocka_unit_test(test_more_photons),            cmocka_unit_test(test_mpi),
     };
     return cmocka_run_group_tests_name("restart", tests, setup, NULL);
 }
