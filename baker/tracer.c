@@ -12,6 +12,10 @@
  * floor(q) photons or one more, by chance, each of luminance 1, and the extra ones count as negative absorption, so that the
  * balance stays exact and its expectation right.  Nothing is cut off by the number of bounces: a light guide needs hundreds.
  *
+ * Participating media: a flight through one ends at a surface, at a scattering or in absorption, drawn in proportion to luminance
+ * (luminaires/medium.h), so that here too luminance stays 1.  A scattering is no bounce: only surfaces count towards the limit after
+ * which light is given up, as thick media scatter light a million times and still let it out.
+ *
  * Solid dielectrics: the photon remembers which it is inside of (counted by material, innermost last); the innermost gives the
  * index on the other side of the next boundary and the absorption on the way there (Beer-Lambert, as survival).  Light that leaves
  * the model while still inside a solid came through a hole in its boundary: lost, and counted apart, as the model has to be mended.
@@ -96,6 +100,7 @@ static void destroy(bake_source *source)
     tracer *t = (tracer *)source;
     if (!t)
         return;
+    lum_volumes_destroy(t->volumes);
     lum_emitters_destroy(t->emitters);
     lum_scene_destroy(t->scene);
     free(t->media);
@@ -114,6 +119,8 @@ static tracer_medium *list_media(const lum_model *model)
             media[i].absorption[c] = (double)m->absorption[c];
             media[i].absorbs |= media[i].solid && m->absorption[c] > 0;
         }
+        lum_medium_set(&media[i].inside, m->scattering, m->absorption, m->anisotropy);
+        media[i].scatters = media[i].solid && media[i].inside.scatters;
     }
     return media;
 }
@@ -126,7 +133,7 @@ static bool textured(const lum_texture *t)
 /* The features that the model's materials call for. */
 static uint32_t needed_features(const lum_model *model, const tracer_medium *media)
 {
-    uint32_t features = model->colors ? TRACER_TEXTURES : 0;
+    uint32_t features = (model->colors ? TRACER_TEXTURES : 0) | (model->volume_count > 0 ? TRACER_MEDIA : 0);
     for (uint32_t i = 0; i < model->material_count; ++i) {
         const lum_material *m = &model->materials[i];
         if (textured(&m->base_texture) || textured(&m->metal_rough_texture) || textured(&m->normal_texture) ||
@@ -138,6 +145,8 @@ static uint32_t needed_features(const lum_model *model, const tracer_medium *med
             features |= TRACER_SOLIDS;
         if (media[i].absorbs)
             features |= TRACER_ABSORPTION;
+        if (media[i].scatters)
+            features |= TRACER_MEDIA;
         if (m->kind == LUM_SURFACE_PBR || m->has_eta)
             features |= TRACER_POLARIZATION;
     }
@@ -179,6 +188,8 @@ lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake
         if (model->rated_flux > 0)
             t->source.flux = model->rated_flux;
     }
+    if (result == LMG_OK)
+        result = lum_volumes_create(model, &t->volumes, err);
     if (result == LMG_OK)
         result = lum_scene_create(model, &t->scene, err);
     if (result != LMG_OK) {

@@ -12,6 +12,7 @@
  *
  *     start()        it is born: position, direction, colour
  *     fly()          along a segment, before its end is looked at: absorption in solids
+ *                    fly_through() in kernels with media: also scattering, which starts a new segment
  *     meet()         at a surface: scattering, passing by, entering and leaving solids
  *     escape()       it leaves the model
  *
@@ -232,6 +233,63 @@ static inline uint32_t fly(const tracer *t, worker *w, uint32_t i, double length
     return 1;
 }
 
+#if KERNEL_FEATURES & TRACER_MEDIA
+/*
+ * Where a scattering that fell short of a surface by (length - t) puts the photon.  Rounding of the surface's place must not let it
+ * through: within the hit's error bound of the surface it is moved along the normal, to where a ray leaving the surface would start.
+ */
+static lmg_vec3 scattering_place(lmg_vec3 origin, lmg_vec3 d, double t, const lum_hit *hit)
+{
+    lmg_vec3 p = {origin.x + t * d.x, origin.y + t * d.y, origin.z + t * d.z};
+    if (hit->triangle != LUM_MISS) {
+        const double cosine = d.x * hit->ng.x + d.y * hit->ng.y + d.z * hit->ng.z, gap = (hit->t - t) * fabs(cosine);
+        if (gap < hit->error) {
+            const double shift = cosine > 0 ? gap - hit->error : hit->error - gap;
+            p = (lmg_vec3){p.x + shift * hit->ng.x, p.y + shift * hit->ng.y, p.z + shift * hit->ng.z};
+        }
+    }
+    return p;
+}
+
+/* What happens to path i on its way to its hit, or out of the model, in a medium or in clear space: as fly; *scattered: it didn't
+ * get there, and starts anew from where it is. */
+static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool *scattered)
+{
+    path *p = &w->path[i];
+    const lum_hit *hit = &w->hit[i];
+    const bool miss = hit->triangle == LUM_MISS;
+    const double length = miss ? (double)INFINITY : hit->t;
+    const tracer_medium *m = p->nested > 0 ? &t->media[p->inside[p->nested - 1]] : NULL;
+    *scattered = false;
+    if (m ? !m->scatters : !t->volumes)
+        return miss ? 1 : fly(t, w, i, length);
+    if (m && miss)
+        return 1; /* out of a solid with a hole: escape() counts it */
+    const double share[3] = {0.2126 * p->colour[0], 0.7152 * p->colour[1], 0.0722 * p->colour[2]};
+    lum_flight flight;
+    if (m)
+        lum_medium_fly(&m->inside, length, share, &p->rng, &flight);
+    else
+        lum_volumes_fly(t->volumes, w->origin[i], w->direction[i], length, share, &p->rng, &flight);
+    if (flight.event == LUM_FLIGHT_ABSORBED) {
+        ++w->counts.absorbed;
+        return 0;
+    }
+    const uint32_t photons = survivors(p, flight.factor);
+    w->counts.absorbed += 1 - (int64_t)photons;
+    if (flight.event == LUM_FLIGHT_SCATTERED) {
+        *scattered = true;
+        w->origin[i] = scattering_place(w->origin[i], w->direction[i], flight.t, hit);
+        const double xi[2] = {lum_rng_next(&p->rng), lum_rng_next(&p->rng)};
+        w->direction[i] = lum_phase_sample(flight.g, w->direction[i], xi);
+#if KERNEL_FEATURES & TRACER_POLARIZATION
+        p->polarization = (lum_polarization){0};
+#endif
+    }
+    return photons;
+}
+#endif
+
 /* What happens to path i, now standing for `photons` equal ones, at a surface; the number that goes on, with origin and direction
  * renewed. */
 static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, const lum_surface *surface, int32_t material, uint32_t photons)
@@ -289,22 +347,43 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, const lum_su
 static inline bool interact(const tracer *t, worker *w, uint32_t i)
 {
     const lum_hit *hit = &w->hit[i];
+    uint32_t photons = 1;
     ++w->counts.segments;
+#if KERNEL_FEATURES & TRACER_MEDIA
+    if (hit->triangle != LUM_MISS) {
+        const lmg_vec3 d = w->direction[i];
+        const bool front = d.x * hit->ng.x + d.y * hit->ng.y + d.z * hit->ng.z < 0;
+        if (!notice_birth_inside(t, &w->path[i], t->model->triangle_material[hit->triangle], front)) {
+            ++w->counts.lost;
+            return false;
+        }
+    }
+    bool scattered;
+    photons = fly_through(t, w, i, &scattered);
+    if (photons == 0)
+        return false;
+    if (scattered) {
+        put_aside(w, i, photons - 1);
+        return true;
+    }
+#endif
     if (hit->triangle == LUM_MISS) {
-        escape(t, w, i);
+        for (uint32_t k = 0; k < photons; ++k)
+            escape(t, w, i);
         return false;
     }
     ++w->path[i].segments;
     lum_surface surface;
     lum_surface_at(t->scene, hit, w->direction[i], &surface);
     const int32_t material = (int32_t)(surface.material - t->model->materials);
-#if KERNEL_FEATURES & TRACER_SOLIDS
+#if (KERNEL_FEATURES & TRACER_SOLIDS) && !(KERNEL_FEATURES & TRACER_MEDIA)
     if (!notice_birth_inside(t, &w->path[i], material, surface.front)) {
         ++w->counts.lost;
         return false;
     }
 #endif
-    uint32_t photons = fly(t, w, i, hit->t);
+    if (!HAS(TRACER_MEDIA))
+        photons = fly(t, w, i, hit->t);
     if (photons > 0)
         photons = meet(t, w, i, &surface, material, photons);
     if (photons > 1)

@@ -16,6 +16,7 @@
 #include "parallel.h"
 #include "source.h"
 
+#include <luminaires/medium.h>
 #include <luminaires/model.h>
 #include <luminaires/scatter.h>
 #include <luminaires/scene.h>
@@ -27,12 +28,15 @@
 #define TRACER_SOLIDS 4u       /* boundaries of solids: paths remember what they are inside of */
 #define TRACER_ABSORPTION 8u   /* inside solids; needs TRACER_SOLIDS */
 #define TRACER_POLARIZATION 16u /* photons carry a polarization from one specular event to the next */
+#define TRACER_MEDIA 32u       /* scattering on the way: inside solids and in volumes; needs TRACER_SOLIDS, TRACER_ABSORPTION */
 
 /* What the loop needs of a material, in one cache line per few materials. */
 typedef struct tracer_medium {
     bool solid, absorbs;
     float ior;
     double absorption[3]; /* 1/m */
+    bool scatters;
+    lum_medium inside; /* where it scatters */
 } tracer_medium;
 
 typedef struct tracer_kernel tracer_kernel;
@@ -43,6 +47,7 @@ typedef struct tracer {
     lum_scene *scene;
     lum_emitters *emitters;
     tracer_medium *media; /* per material */
+    lum_volumes *volumes; /* outside of solids; NULL = none */
     const tracer_kernel *kernel;
     uint64_t seed;
 } tracer;
