@@ -7,198 +7,34 @@
 #include "recipe.h"
 #include "colour.h"
 #include "gltf_file.h"
+#include "recipe_reader.h"
 #include "text.h"
 
 #include <jansson.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #define MAX_RECIPE_BYTES ((size_t)16 << 20)
 
-/* One object of the recipe being read.  Getters remove what they have read, so that what is left at the end is unknown. */
-typedef struct reader {
-    json_t *object;
-    char path[LUM_NAME_SIZE];
-    lmg_error *err;
-    lmg_result result; /* the first error; later getters do nothing */
-} reader;
-
-static void fail(reader *r, const char *key, const char *format, ...)
-{
-    if (r->result)
-        return;
-    char text[300];
-    va_list args;
-    va_start(args, format);
-    vsnprintf(text, sizeof text, format, args);
-    va_end(args);
-    r->result = lmg_fail(r->err, LMG_ERROR_INPUT, "%s%s%s: %s", r->path, *r->path && *key ? "." : "", key, text);
-}
-
-/* The value of a key, for the caller to release; NULL when absent or after an error. */
-static json_t *take(reader *r, const char *key)
-{
-    json_t *value = r->result ? NULL : json_object_get(r->object, key);
-    if (value) {
-        json_incref(value);
-        json_object_del(r->object, key);
-    }
-    return value;
-}
-
-static bool in_range(reader *r, const char *key, const json_t *value, double low, double high, double *out)
-{
-    if (!json_is_number(value)) {
-        fail(r, key, "must be a number");
-        return false;
-    }
-    double x = json_number_value(value);
-    if (!(x >= low && x <= high)) {
-        fail(r, key, "%g is outside [%g, %g]", x, low, high);
-        return false;
-    }
-    *out = x;
-    return true;
-}
-
-static bool get_number(reader *r, const char *key, double low, double high, double *out)
-{
-    json_t *value = take(r, key);
-    if (!value)
-        return false;
-    bool ok = in_range(r, key, value, low, high, out);
-    json_decref(value);
-    return ok;
-}
-
-static bool get_bool(reader *r, const char *key, bool *out)
-{
-    json_t *value = take(r, key);
-    if (!value)
-        return false;
-    bool ok = json_is_boolean(value);
-    if (ok)
-        *out = json_is_true(value);
-    else
-        fail(r, key, "must be true or false");
-    json_decref(value);
-    return ok;
-}
-
-/* A number for all of R,G,B, or three of them. */
-static bool get_rgb(reader *r, const char *key, double low, double high, double out[3])
-{
-    json_t *value = take(r, key);
-    if (!value)
-        return false;
-    bool ok = true;
-    if (json_is_array(value) && json_array_size(value) == 3) {
-        for (size_t i = 0; i < 3 && ok; i++)
-            ok = in_range(r, key, json_array_get(value, i), low, high, &out[i]);
-    } else if (json_is_number(value)) {
-        ok = in_range(r, key, value, low, high, &out[0]);
-        out[1] = out[2] = out[0];
-    } else {
-        ok = false;
-        fail(r, key, "must be a number or three, [R, G, B]");
-    }
-    json_decref(value);
-    return ok;
-}
-
-static bool get_rgb_float(reader *r, const char *key, double low, double high, float out[3])
-{
-    double values[3];
-    if (!get_rgb(r, key, low, high, values))
-        return false;
-    for (int i = 0; i < 3; i++)
-        out[i] = (float)values[i];
-    return true;
-}
-
-/* Copies a string that must fit a name. */
-static bool get_string(reader *r, const char *key, char out[LUM_NAME_SIZE])
-{
-    json_t *value = take(r, key);
-    if (!value)
-        return false;
-    const char *s = json_string_value(value);
-    bool ok = s && *s && strlen(s) < LUM_NAME_SIZE;
-    if (ok)
-        lum_copy_name(out, s, "", 0);
-    else
-        fail(r, key, s ? "must have 1 to %d characters" : "must be a string", LUM_NAME_SIZE - 1);
-    json_decref(value);
-    return ok;
-}
-
-static int get_choice(reader *r, const char *key, const char *const *choices, int count, const char *list, int otherwise)
-{
-    char name[LUM_NAME_SIZE];
-    if (!get_string(r, key, name))
-        return otherwise;
-    for (int i = 0; i < count; i++)
-        if (strcmp(name, choices[i]) == 0)
-            return i;
-    fail(r, key, "\"%.40s\" is not one of %s", name, list);
-    return otherwise;
-}
-
-/* Opens the object of a key for reading; false when absent. */
-static bool open_object(reader *r, const char *key, reader *inner)
-{
-    json_t *value = take(r, key);
-    if (!value)
-        return false;
-    if (!json_is_object(value)) {
-        fail(r, key, "must be an object");
-        json_decref(value);
-        return false;
-    }
-    *inner = (reader){.object = value, .err = r->err};
-    snprintf(inner->path, sizeof inner->path, "%.100s%s%.20s", r->path, *r->path ? "." : "", key);
-    return true;
-}
-
-/* Refuses what nobody has read. */
-static void check_rest(reader *r)
-{
-    json_decref(take(r, "comment"));
-    const char *key;
-    json_t *value;
-    if (r->result)
-        return;
-    json_object_foreach(r->object, key, value) fail(r, "", "unknown key \"%.60s\"; see docs/recipe.md", key);
-}
-
-static void close_object(reader *r, reader *inner)
-{
-    check_rest(inner);
-    json_decref(inner->object);
-    if (!r->result)
-        r->result = inner->result;
-}
-
 /* ------------------------------------------------------------------------------------------------------------- entries */
 
-static void read_emitter(reader *r, lum_recipe_entry *e)
+static void read_emitter(lum_reader *r, lum_recipe_entry *e)
 {
-    reader in;
-    if (!open_object(r, "emitter", &in))
+    lum_reader in;
+    if (!lum_reader_open(r, "emitter", &in))
         return;
     e->emitter = true;
-    bool lumens = get_number(&in, "lumens", 1e-12, 1e12, &e->lumens);
-    bool luminance = get_number(&in, "luminance", 1e-12, 1e15, &e->luminance);
+    bool lumens = lum_reader_number(&in, "lumens", 1e-12, 1e12, &e->lumens);
+    bool luminance = lum_reader_number(&in, "luminance", 1e-12, 1e15, &e->luminance);
     if (lumens == luminance)
-        fail(&in, "", lumens ? "give either \"lumens\" or \"luminance\" (cd/m2)" : "needs \"lumens\" or \"luminance\" (cd/m2)");
+        lum_reader_fail(&in, "", lumens ? "give either \"lumens\" or \"luminance\" (cd/m2)" : "needs \"lumens\" or \"luminance\" (cd/m2)");
     double kelvin;
-    bool colour = get_rgb(&in, "color", 0, 1e12, e->color);
-    bool temperature = get_number(&in, "kelvin", LUM_KELVIN_MIN, LUM_KELVIN_MAX, &kelvin);
+    bool colour = lum_reader_rgb(&in, "color", 0, 1e12, e->color);
+    bool temperature = lum_reader_number(&in, "kelvin", LUM_KELVIN_MIN, LUM_KELVIN_MAX, &kelvin);
     if (colour && temperature)
-        fail(&in, "", "give either \"color\" or \"kelvin\"");
+        lum_reader_fail(&in, "", "give either \"color\" or \"kelvin\"");
     if (temperature) {
         lum_planckian(kelvin, e->color);
     } else if (!colour) {
@@ -206,93 +42,93 @@ static void read_emitter(reader *r, lum_recipe_entry *e)
     } else {
         double y = 0.2126 * e->color[0] + 0.7152 * e->color[1] + 0.0722 * e->color[2];
         if (!(y > 0))
-            fail(&in, "color", "is black");
+            lum_reader_fail(&in, "color", "is black");
         for (int i = 0; i < 3 && y > 0; i++)
             e->color[i] /= y;
     }
     static const char *const sides[] = {"front", "both", "outside"};
-    e->sides = (lum_sides)get_choice(&in, "sides", sides, 3, "front, both, outside", LUM_SIDES_FRONT);
-    close_object(r, &in);
+    e->sides = (lum_sides)lum_reader_choice(&in, "sides", sides, 3, "front, both, outside", LUM_SIDES_FRONT);
+    lum_reader_close(r, &in);
 }
 
-static void set_finish(reader *r, const char *key, lum_recipe_entry *e, lum_finish finish)
+static void set_finish(lum_reader *r, const char *key, lum_recipe_entry *e, lum_finish finish)
 {
     if (e->finish != LUM_FINISH_NONE)
-        fail(r, key, "the entry says two things about the same surface; split it in two, the later one wins");
+        lum_reader_fail(r, key, "the entry says two things about the same surface; split it in two, the later one wins");
     e->finish = finish;
 }
 
-static void get_roughness(reader *r, lum_recipe_entry *e)
+static void get_roughness(lum_reader *r, lum_recipe_entry *e)
 {
     double x;
-    if (get_number(r, "roughness", 0, 1, &x))
+    if (lum_reader_number(r, "roughness", 0, 1, &x))
         e->roughness = (float)x;
 }
 
-static void read_glass(reader *r, lum_recipe_entry *e)
+static void read_glass(lum_reader *r, lum_recipe_entry *e)
 {
-    reader in;
-    if (!open_object(r, "glass", &in))
+    lum_reader in;
+    if (!lum_reader_open(r, "glass", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_GLASS);
-    if (!get_number(&in, "ior", 1, 4, &e->ior))
+    if (!lum_reader_number(&in, "ior", 1, 4, &e->ior))
         e->ior = 1.5;
     e->thin = false;
-    get_bool(&in, "thin", &e->thin);
+    lum_reader_bool(&in, "thin", &e->thin);
     e->has_thin = true;
     get_roughness(&in, e);
     double color[3], distance;
-    bool absorption = get_rgb_float(&in, "absorption", 0, 1e9, e->absorption);
-    bool coloured = get_rgb(&in, "attenuation_color", 1e-30, 1, color);
-    bool distant = get_number(&in, "attenuation_distance", 1e-9, 1e9, &distance);
+    bool absorption = lum_reader_rgb_float(&in, "absorption", 0, 1e9, e->absorption);
+    bool coloured = lum_reader_rgb(&in, "attenuation_color", 1e-30, 1, color);
+    bool distant = lum_reader_number(&in, "attenuation_distance", 1e-9, 1e9, &distance);
     if (coloured != distant || (coloured && absorption))
-        fail(&in, "", "give \"absorption\" (1/m), or \"attenuation_color\" and \"attenuation_distance\" (m) together");
+        lum_reader_fail(&in, "", "give \"absorption\" (1/m), or \"attenuation_color\" and \"attenuation_distance\" (m) together");
     if (coloured && distant)
         for (int i = 0; i < 3; i++)
             e->absorption[i] = (float)(-log(color[i]) / distance);
     if (e->thin && (absorption || coloured))
-        fail(&in, "", "a thin wall has no inside to absorb light in; leave the absorption out or set \"thin\" to false");
-    close_object(r, &in);
+        lum_reader_fail(&in, "", "a thin wall has no inside to absorb light in; leave the absorption out or set \"thin\" to false");
+    lum_reader_close(r, &in);
 }
 
-static void read_mirror(reader *r, lum_recipe_entry *e)
+static void read_mirror(lum_reader *r, lum_recipe_entry *e)
 {
-    reader in;
-    if (!open_object(r, "mirror", &in))
+    lum_reader in;
+    if (!lum_reader_open(r, "mirror", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_MIRROR);
-    if (!get_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
-        fail(&in, "reflectance", "is missing");
+    if (!lum_reader_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
+        lum_reader_fail(&in, "reflectance", "is missing");
     get_roughness(&in, e);
-    close_object(r, &in);
+    lum_reader_close(r, &in);
 }
 
-static void read_conductor(reader *r, lum_recipe_entry *e)
+static void read_conductor(lum_reader *r, lum_recipe_entry *e)
 {
-    reader in;
-    if (!open_object(r, "conductor", &in))
+    lum_reader in;
+    if (!lum_reader_open(r, "conductor", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_CONDUCTOR);
     char metal[LUM_NAME_SIZE];
-    bool named = get_string(&in, "metal", metal);
-    bool eta = get_rgb_float(&in, "eta", 1e-6, 1e3, e->eta), k = get_rgb_float(&in, "k", 0, 1e3, e->k);
+    bool named = lum_reader_string(&in, "metal", metal);
+    bool eta = lum_reader_rgb_float(&in, "eta", 1e-6, 1e3, e->eta), k = lum_reader_rgb_float(&in, "k", 0, 1e3, e->k);
     if (named == (eta || k) || eta != k)
-        fail(&in, "", "give \"metal\", or \"eta\" and \"k\" together");
+        lum_reader_fail(&in, "", "give \"metal\", or \"eta\" and \"k\" together");
     if (named && !lum_metal(metal, e->eta, e->k))
-        fail(&in, "metal", "\"%.40s\" is not one of %s", metal, lum_metal_names());
+        lum_reader_fail(&in, "metal", "\"%.40s\" is not one of %s", metal, lum_metal_names());
     get_roughness(&in, e);
-    close_object(r, &in);
+    lum_reader_close(r, &in);
 }
 
-static void read_diffuse(reader *r, lum_recipe_entry *e)
+static void read_diffuse(lum_reader *r, lum_recipe_entry *e)
 {
-    reader in;
-    if (!open_object(r, "diffuse", &in))
+    lum_reader in;
+    if (!lum_reader_open(r, "diffuse", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_DIFFUSE);
-    if (!get_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
-        fail(&in, "reflectance", "is missing");
-    close_object(r, &in);
+    if (!lum_reader_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
+        lum_reader_fail(&in, "reflectance", "is missing");
+    lum_reader_close(r, &in);
 }
 
 static double largest(const float rgb[3])
@@ -300,43 +136,43 @@ static double largest(const float rgb[3])
     return fmax(fmax((double)rgb[0], (double)rgb[1]), (double)rgb[2]);
 }
 
-static void read_diffuse_transmission(reader *r, lum_recipe_entry *e)
+static void read_diffuse_transmission(lum_reader *r, lum_recipe_entry *e)
 {
-    reader in;
-    if (!open_object(r, "diffuse_transmission", &in))
+    lum_reader in;
+    if (!lum_reader_open(r, "diffuse_transmission", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_DIFFUSE_TRANSMISSION);
-    if (!get_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
-        fail(&in, "reflectance", "is missing");
-    if (!get_rgb_float(&in, "transmittance", 0, 1, e->transmittance))
-        fail(&in, "transmittance", "is missing");
+    if (!lum_reader_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
+        lum_reader_fail(&in, "reflectance", "is missing");
+    if (!lum_reader_rgb_float(&in, "transmittance", 0, 1, e->transmittance))
+        lum_reader_fail(&in, "transmittance", "is missing");
     /* The rounding of two floats to decimal and back. */
     if (largest(e->reflectance) + largest(e->transmittance) > 1 + 0x1p-22)
-        fail(&in, "", "reflectance and transmittance together exceed 1");
-    close_object(r, &in);
+        lum_reader_fail(&in, "", "reflectance and transmittance together exceed 1");
+    lum_reader_close(r, &in);
 }
 
-static void read_entry_keys(reader *r, lum_recipe_entry *e)
+static void read_entry_keys(lum_reader *r, lum_recipe_entry *e)
 {
     static const char *const targets[] = {"any", "material", "mesh", "node"};
-    if (!get_string(r, "match", e->match))
-        fail(r, "match", "is missing: the name of a material, mesh or node");
-    e->target = (lum_target)get_choice(r, "target", targets, 4, "any, material, mesh, node", LUM_TARGET_ANY);
+    if (!lum_reader_string(r, "match", e->match))
+        lum_reader_fail(r, "match", "is missing: the name of a material, mesh or node");
+    e->target = (lum_target)lum_reader_choice(r, "target", targets, 4, "any, material, mesh, node", LUM_TARGET_ANY);
     bool black = false;
-    get_bool(r, "leave_out", &e->leave_out);
-    get_bool(r, "no_emission", &e->no_emission);
+    lum_reader_bool(r, "leave_out", &e->leave_out);
+    lum_reader_bool(r, "no_emission", &e->no_emission);
     read_emitter(r, e);
     read_glass(r, e);
     read_mirror(r, e);
     read_conductor(r, e);
     read_diffuse(r, e);
     read_diffuse_transmission(r, e);
-    if (get_bool(r, "black", &black) && black)
+    if (lum_reader_bool(r, "black", &black) && black)
         set_finish(r, "black", e, LUM_FINISH_BLACK);
     double ior;
-    bool thin, has_thin = get_bool(r, "thin", &thin), has_ior = get_number(r, "ior", 1, 4, &ior);
+    bool thin, has_thin = lum_reader_bool(r, "thin", &thin), has_ior = lum_reader_number(r, "ior", 1, 4, &ior);
     if ((has_thin || has_ior) && e->finish != LUM_FINISH_NONE)
-        fail(r, has_thin ? "thin" : "ior", "belongs inside \"glass\" when the entry names a surface");
+        lum_reader_fail(r, has_thin ? "thin" : "ior", "belongs inside \"glass\" when the entry names a surface");
     if (has_thin) {
         e->thin = thin;
         e->has_thin = true;
@@ -344,11 +180,11 @@ static void read_entry_keys(reader *r, lum_recipe_entry *e)
     if (has_ior)
         e->ior = ior;
     if (e->emitter && e->no_emission)
-        fail(r, "no_emission", "contradicts \"emitter\"");
-    check_rest(r); /* before complaining that it says nothing: a misspelt key is why */
+        lum_reader_fail(r, "no_emission", "contradicts \"emitter\"");
+    lum_reader_check_rest(r); /* before complaining that it says nothing: a misspelt key is why */
     if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && e->ior == 0 &&
         e->finish == LUM_FINISH_NONE)
-        fail(r, "", "says nothing about \"%.60s\"", e->match);
+        lum_reader_fail(r, "", "says nothing about \"%.60s\"", e->match);
 }
 
 /* Reads one entry and adds it. */
@@ -356,7 +192,7 @@ static lmg_result add_entry(lum_recipe *recipe, json_t *object, const char *wher
 {
     lum_recipe_entry e = {.sides = LUM_SIDES_FRONT};
     snprintf(e.where, sizeof e.where, "%.120s", where);
-    reader r = {.object = object, .err = err};
+    lum_reader r = {.object = object, .err = err};
     snprintf(r.path, sizeof r.path, "%.100s", where);
     if (!json_is_object(object))
         return lmg_fail(err, LMG_ERROR_INPUT, "%s: must be an object", where);
@@ -373,28 +209,28 @@ static lmg_result add_entry(lum_recipe *recipe, json_t *object, const char *wher
 
 /* --------------------------------------------------------------------------------------------------------------- whole */
 
-static void read_globals(lum_recipe *recipe, reader *r)
+static void read_globals(lum_recipe *recipe, lum_reader *r)
 {
-    get_number(r, "scale", 1e-9, 1e9, &recipe->scale);
-    get_number(r, "flux", 1e-12, 1e12, &recipe->flux);
+    lum_reader_number(r, "scale", 1e-9, 1e9, &recipe->scale);
+    lum_reader_number(r, "flux", 1e-12, 1e12, &recipe->flux);
 }
 
 static lmg_result read_document(lum_recipe *recipe, json_t *root, lmg_error *err)
 {
-    reader r = {.object = root, .err = err};
+    lum_reader r = {.object = root, .err = err};
     if (!json_is_object(root))
         return lmg_fail(err, LMG_ERROR_INPUT, "a recipe is an object, { ... }; see docs/recipe.md");
     read_globals(recipe, &r);
-    json_t *entries = take(&r, "entries");
+    json_t *entries = lum_reader_take(&r, "entries");
     if (entries && !json_is_array(entries))
-        fail(&r, "entries", "must be an array");
+        lum_reader_fail(&r, "entries", "must be an array");
     for (size_t i = 0; !r.result && i < json_array_size(entries); i++) {
         char where[40];
         snprintf(where, sizeof where, "entries[%zu]", i);
         r.result = add_entry(recipe, json_array_get(entries, i), where, err);
     }
     json_decref(entries);
-    check_rest(&r);
+    lum_reader_check_rest(&r);
     return r.result;
 }
 
@@ -576,7 +412,7 @@ lmg_result lum_recipe_add(lum_recipe *recipe, const char *shorthand, lmg_error *
         if (!quantity(shorthand + (scale ? 6 : 5), scale ? "" : "lm", &x))
             return bad_shorthand(shorthand, err);
         json_t *object = json_pack("{s:f}", scale ? "scale" : "flux", x);
-        reader r = {.object = object, .err = err};
+        lum_reader r = {.object = object, .err = err};
         read_globals(recipe, &r);
         json_decref(object);
         result = r.result;
