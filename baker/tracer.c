@@ -16,6 +16,10 @@
  * (luminaires/medium.h), so that here too luminance stays 1.  A scattering is no bounce: only surfaces count towards the limit after
  * which light is given up, as thick media scatter light a million times and still let it out.
  *
+ * Light that has to be followed by wavelength (spectral.h) is the exception: a path carries several wavelengths, and a luminance that
+ * varies about 1; it is counted in parts of a photon, and what a change of luminance gives or takes counts as absorbed, so that the
+ * balance is exact there too.
+ *
  * Solid dielectrics: the photon remembers which it is inside of (counted by material, innermost last); the innermost gives the
  * index on the other side of the next boundary and the absorption on the way there (Beer-Lambert, as survival).  Light that leaves
  * the model while still inside a solid came through a hole in its boundary: lost, and counted apart, as the model has to be mended.
@@ -86,11 +90,12 @@ static lmg_result run(bake_source *source, uint64_t first, uint64_t count, unsig
                         t->model->path, j.trap.trapped, j.trap.started, places);
     }
     tally->photons += (uint64_t)j.counts.photons;
+    const double photon = 1.0 / TRACER_UNITS(t->kernel->features); /* a power of two: sums stay exact */
     tally->emitted += (double)j.counts.photons;
-    tally->escaped += (double)j.counts.escaped;
-    tally->absorbed += (double)j.counts.absorbed;
-    tally->lost += (double)j.counts.lost;
-    tally->lost_inside += (double)j.counts.lost_inside;
+    tally->escaped += (double)j.counts.escaped * photon;
+    tally->absorbed += (double)j.counts.absorbed * photon;
+    tally->lost += (double)j.counts.lost * photon;
+    tally->lost_inside += (double)j.counts.lost_inside * photon;
     tally->segments += (uint64_t)j.counts.segments;
     return LMG_OK;
 }
@@ -104,6 +109,7 @@ static void destroy(bake_source *source)
     lum_emitters_destroy(t->emitters);
     lum_scene_destroy(t->scene);
     free(t->media);
+    bake_spectral_destroy(t->spectral);
     free(t);
 }
 
@@ -133,7 +139,8 @@ static bool textured(const lum_texture *t)
 /* The features that the model's materials call for. */
 static uint32_t needed_features(const lum_model *model, const tracer_medium *media)
 {
-    uint32_t features = (model->colors ? TRACER_TEXTURES : 0) | (model->volume_count > 0 ? TRACER_MEDIA : 0);
+    uint32_t features = (model->colors ? TRACER_TEXTURES : 0) | (model->volume_count > 0 ? TRACER_MEDIA : 0) |
+                        (bake_is_spectral(model) ? TRACER_SPECTRAL : 0);
     for (uint32_t i = 0; i < model->material_count; ++i) {
         const lum_material *m = &model->materials[i];
         if (textured(&m->base_texture) || textured(&m->metal_rough_texture) || textured(&m->normal_texture) ||
@@ -176,6 +183,8 @@ lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake
     if (t->media)
         t->kernel = choose_kernel(needed_features(model, t->media));
     lmg_result result = t->media ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the photon tracer");
+    if (result == LMG_OK && bake_is_spectral(model))
+        result = bake_spectral_create(model, &t->spectral, err);
     if (result == LMG_OK)
         result = lum_emitters_create(model, &t->emitters, err);
     if (result == LMG_OK) {

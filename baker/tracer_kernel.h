@@ -16,7 +16,7 @@
  *     meet()         at a surface: scattering, passing by, entering and leaving solids
  *     escape()       it leaves the model
  *
- * survivors() turns any loss into whole photons.  Numbers are drawn where a model needs them, never by feature.
+ * survivors() turns any loss into whole photons; of light by wavelength, survives().  Numbers are drawn where a model needs them, never by feature.
  */
 #include "batch.h"
 #include "tracer_state.h"
@@ -46,6 +46,10 @@ enum { MAX_PENDING = 64 };
 
 typedef struct path {
     double colour[3]; /* luminance 1 */
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    bake_waves waves; /* instead of colour, when the tracer has spectral tables */
+    int64_t units;    /* its luminance */
+#endif
     lum_rng rng;
     uint64_t number;
     uint32_t segments;
@@ -91,6 +95,17 @@ static double luminance(const double c[3])
     return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
 }
 
+/* The luminance of a path in the units of the kernel's counts. */
+static inline int64_t units_of(const path *p)
+{
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    return p->units;
+#else
+    (void)p;
+    return 1;
+#endif
+}
+
 /*
  * How many photons go on, each with luminance 1, after an event that leaves the given share of each colour: mostly 0 or 1.  The
  * path's colour becomes theirs.
@@ -126,7 +141,7 @@ static void put_aside(worker *w, uint32_t i, uint32_t copies)
 {
     for (uint32_t k = 0; k < copies; ++k) {
         if (w->pending_count == MAX_PENDING) {
-            ++w->counts.lost;
+            w->counts.lost += units_of(&w->path[i]);
             continue;
         }
         waiting_path *copy = &w->pending[w->pending_count++];
@@ -134,6 +149,98 @@ static void put_aside(worker *w, uint32_t i, uint32_t copies)
         copy->path.rng.state = lum_mix64(copy->path.rng.state + k + 1);
     }
 }
+
+/* ------------------------------------------------------------------------------------------------------- by wavelength */
+
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+/* Multiplies a path's luminance; false if nothing is left. */
+static inline bool change_luminance(worker *w, path *p, double factor)
+{
+    const int64_t units = llround((double)p->units * factor);
+    w->counts.absorbed += p->units - units;
+    p->units = units;
+    return units > 0;
+}
+
+/* A loss that changes importance by `importance` and luminance by `luminance`: survives in proportion to importance. */
+static inline bool survives_loss(worker *w, path *p, double importance, double luminance)
+{
+    /* Sums of shares are rounded to floats: that close to 1, nothing happened. */
+    if (importance < 1 - 8 * (double)FLT_EPSILON) {
+        if (!(lum_rng_next(&p->rng) < importance)) {
+            w->counts.absorbed += p->units;
+            return false;
+        }
+        luminance /= importance;
+    }
+    return p->waves.count == 1 && importance <= 1 ? true : change_luminance(w, p, luminance);
+}
+
+/* After an event that leaves a share of each wave. */
+static inline bool survives(worker *w, path *p, const float share[BAKE_WAVES])
+{
+    double luminance;
+    const double importance = bake_waves_weigh(&p->waves, share, &luminance);
+    return survives_loss(w, p, importance, luminance);
+}
+
+/* A surface that leaves R,G,B. */
+static inline bool survives_surface(const tracer *t, worker *w, path *p, int32_t material, const lum_scattered *s)
+{
+    const bake_spectral_material *m = &t->spectral->materials[material];
+    if (m->tint == BAKE_TINT_RGB && s->weight[0] == s->weight[1] && s->weight[1] == s->weight[2])
+        return s->weight[0] == 1 || survives_loss(w, p, (double)s->weight[0], (double)s->weight[0]);
+    float share[BAKE_WAVES];
+    bake_waves_scattered(t->spectral, material, (s->event & LUM_REFLECTED) != 0, s->weight, &p->waves, share);
+    return survives(w, p, share);
+}
+
+/* Before a boundary where directions depend on the wavelength, one goes on alone.  False if nothing is left of it. */
+static inline bool choose_wave(const tracer *t, worker *w, path *p, int32_t material)
+{
+    bool refracts = t->spectral->materials[material].refracts;
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    refracts |= p->nested > 0 && t->spectral->materials[p->inside[p->nested - 1]].refracts;
+#endif
+    if (!refracts || p->waves.count == 1)
+        return true;
+    return change_luminance(w, p, bake_waves_choose(&p->waves, lum_rng_next(&p->rng)));
+}
+
+/*
+ * A layer of phosphor takes its share of each wave and emits what the quantum yield leaves of the photons, Lambertian to both sides;
+ * what it doesn't take goes on to be scattered.  One of the two is followed, in proportion to its importance.  Returns whether
+ * anything is left; *converted: which of them.
+ */
+static inline bool meet_phosphor(const tracer *t, worker *w, path *p, const bake_phosphor *phosphor, bool *converted)
+{
+    bake_waves *waves = &p->waves;
+    double taken = 0, rest = 0, before = 0; /* luminance emitted; importances */
+    float share[BAKE_WAVES];
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        const double nm = (double)waves->nm[i], a = lum_spectrum_at(phosphor->excitation, nm), s = (double)waves->share[i];
+        taken += s * a * bake_phosphor_gain(t->spectral, phosphor, nm);
+        share[i] = (float)(1 - a);
+        rest += s * (double)share[i] * (double)waves->importance[i];
+        before += s * (double)waves->importance[i];
+    }
+    const double emitted = taken * phosphor->importance, all = emitted + rest;
+    *converted = false;
+    if (!(emitted > 0))
+        return survives(w, p, share);
+    *converted = lum_rng_next(&p->rng) * all < emitted;
+    double luminance;
+    if (*converted) {
+        luminance = taken / emitted * all;
+        luminance *= bake_waves_draw(t->spectral, &phosphor->light, lum_rng_next(&p->rng), waves);
+    } else {
+        bake_waves_weigh(waves, share, &luminance);
+        luminance *= all / rest;
+    }
+    /* Of a lone wave that stays as it is, survives_loss keeps the luminance. */
+    return survives_loss(w, p, all / before, luminance);
+}
+#endif
 
 /* -------------------------------------------------------------------------------------------------------------- solids */
 
@@ -184,7 +291,14 @@ static float index_outside(const tracer *t, const path *p, int32_t material, boo
     uint32_t n = p->nested;
     if (!front && n > 0 && p->inside[n - 1] == material)
         --n;
-    return n > 0 ? t->media[p->inside[n - 1]].ior : 1.0f;
+    if (n == 0)
+        return 1.0f;
+    const float index = t->media[p->inside[n - 1]].ior;
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    if (t->spectral)
+        return bake_waves_index(t->spectral, p->inside[n - 1], &p->waves, index);
+#endif
+    return index;
 }
 #endif
 
@@ -195,12 +309,12 @@ static inline void escape(const tracer *t, worker *w, uint32_t i)
     const path *p = &w->path[i];
 #if KERNEL_FEATURES & TRACER_SOLIDS
     if (p->nested > 0) {
-        ++w->counts.lost;
-        ++w->counts.lost_inside;
+        w->counts.lost += units_of(p);
+        w->counts.lost_inside += units_of(p);
         return;
     }
 #endif
-    ++w->counts.escaped;
+    w->counts.escaped += units_of(p);
     const lmg_vec3 centre = t->model->centre, o = w->origin[i];
     lmg_ray *ray = bake_batch_next(&w->batch);
     ray->origin = (lmg_vec3){o.x + centre.x, o.y + centre.y, o.z + centre.z};
@@ -209,6 +323,15 @@ static inline void escape(const tracer *t, worker *w, uint32_t i)
         ray->flux[k] = (float)p->colour[k];
     ray->wavelength = 0;
     ray->number = p->number;
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    if (t->spectral) {
+        double rgb[3];
+        bake_waves_rgb(t->spectral, &p->waves, rgb);
+        for (int k = 0; k < 3; ++k)
+            ray->flux[k] = (float)(rgb[k] * (double)p->units / TRACER_UNITS(KERNEL_FEATURES));
+        ray->wavelength = p->waves.count == 1 ? p->waves.nm[0] : 0;
+    }
+#endif
 }
 
 /* What happens to path i along its segment of length `length`: the number of photons that arrive at its end. */
@@ -218,12 +341,19 @@ static inline uint32_t fly(const tracer *t, worker *w, uint32_t i, double length
     path *p = &w->path[i];
     if (p->nested > 0) {
         const tracer_medium *m = &t->media[p->inside[p->nested - 1]];
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+        if (m->absorbs && t->spectral) {
+            float share[BAKE_WAVES];
+            bake_waves_absorbed(t->spectral, p->inside[p->nested - 1], m->absorption, length, &p->waves, share);
+            return survives(w, p, share);
+        }
+#endif
         if (m->absorbs) {
             double share[3];
             for (int k = 0; k < 3; ++k)
                 share[k] = exp(-m->absorption[k] * length);
             const uint32_t photons = survivors(p, share);
-            w->counts.absorbed += 1 - (int64_t)photons;
+            w->counts.absorbed += units_of(p) * (1 - (int64_t)photons);
             return photons;
         }
     }
@@ -251,6 +381,30 @@ static lmg_vec3 scattering_place(lmg_vec3 origin, lmg_vec3 d, double t, const lu
     return p;
 }
 
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+/* The flight of a path of several wavelengths through the medium inside a solid, or (m NULL) through the volumes outside. */
+static inline uint32_t fly_waves(const tracer *t, worker *w, uint32_t i, const tracer_medium *m, double length, lum_flight *flight)
+{
+    path *p = &w->path[i];
+    float share[BAKE_WAVES];
+    if (m) {
+        const bool passed = bake_waves_fly(t->spectral, &m->inside, length, &p->rng, &p->waves, share, &flight->t);
+        flight->event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED;
+        flight->g = m->inside.g;
+    } else {
+        double colours[3];
+        bake_waves_colours(t->spectral, &p->waves, colours);
+        lum_volumes_fly(t->volumes, w->origin[i], w->direction[i], length, colours, &p->rng, flight);
+        if (flight->event == LUM_FLIGHT_ABSORBED) {
+            w->counts.absorbed += p->units;
+            return 0;
+        }
+        bake_waves_factors(t->spectral, flight->factor, &p->waves, share);
+    }
+    return survives(w, p, share);
+}
+#endif
+
 /* What happens to path i on its way to its hit, or out of the model, in a medium or in clear space: as fly; *scattered: it didn't
  * get there, and starts anew from where it is. */
 static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool *scattered)
@@ -265,18 +419,24 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
         return miss ? 1 : fly(t, w, i, length);
     if (m && miss)
         return 1; /* out of a solid with a hole: escape() counts it */
-    const double share[3] = {0.2126 * p->colour[0], 0.7152 * p->colour[1], 0.0722 * p->colour[2]};
     lum_flight flight;
-    if (m)
-        lum_medium_fly(&m->inside, length, share, &p->rng, &flight);
-    else
-        lum_volumes_fly(t->volumes, w->origin[i], w->direction[i], length, share, &p->rng, &flight);
-    if (flight.event == LUM_FLIGHT_ABSORBED) {
-        ++w->counts.absorbed;
-        return 0;
+    uint32_t photons;
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    if (t->spectral) {
+        photons = fly_waves(t, w, i, m, length, &flight);
+    } else
+#endif
+    {
+        const double share[3] = {0.2126 * p->colour[0], 0.7152 * p->colour[1], 0.0722 * p->colour[2]};
+        if (m)
+            lum_medium_fly(&m->inside, length, share, &p->rng, &flight);
+        else
+            lum_volumes_fly(t->volumes, w->origin[i], w->direction[i], length, share, &p->rng, &flight);
+        photons = flight.event == LUM_FLIGHT_ABSORBED ? 0 : survivors(p, flight.factor);
+        w->counts.absorbed += units_of(p) * (1 - (int64_t)photons);
     }
-    const uint32_t photons = survivors(p, flight.factor);
-    w->counts.absorbed += 1 - (int64_t)photons;
+    if (photons == 0)
+        return 0;
     if (flight.event == LUM_FLIGHT_SCATTERED) {
         *scattered = true;
         w->origin[i] = scattering_place(w->origin[i], w->direction[i], flight.t, hit);
@@ -292,7 +452,7 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
 
 /* What happens to path i, now standing for `photons` equal ones, at a surface; the number that goes on, with origin and direction
  * renewed. */
-static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, const lum_surface *surface, int32_t material, uint32_t photons)
+static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, lum_surface *surface, int32_t material, uint32_t photons)
 {
     path *p = &w->path[i];
     const lum_hit *hit = &w->hit[i];
@@ -300,6 +460,21 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, const lum_su
         w->origin[i] = lum_offset(hit, w->direction[i]);
         return photons;
     }
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    bool converted = false;
+    if (t->spectral) {
+        const bake_spectral_material *m = &t->spectral->materials[material];
+        if (!choose_wave(t, w, p, material))
+            return 0;
+        surface->ior = bake_waves_index(t->spectral, material, &p->waves, surface->ior);
+        if (m->phosphor) {
+            if (!meet_phosphor(t, w, p, m->phosphor, &converted))
+                return 0;
+            if (converted)
+                surface->diffuse_transmission = (float)m->phosphor->forward;
+        }
+    }
+#endif
     double xi[4];
     for (int k = 0; k < 4; ++k)
         xi[k] = lum_rng_next(&p->rng);
@@ -317,22 +492,30 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, const lum_su
     lum_scattered s;
     lum_scatter_trace(surface, wi, index, xi, polarization, &s);
     if (!(s.event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
-        w->counts.absorbed += photons;
+        w->counts.absorbed += photons * units_of(p);
         return 0;
     }
     const double share[3] = {(double)s.weight[0], (double)s.weight[1], (double)s.weight[2]};
     if (!isfinite(s.wo.x + s.wo.y + s.wo.z + share[0] + share[1] + share[2])) {
-        w->counts.lost += photons;
+        w->counts.lost += photons * units_of(p);
         return 0;
     }
-    const uint32_t each = survivors(p, share);
-    w->counts.absorbed += (int64_t)photons * (1 - (int64_t)each);
-    photons *= each;
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    if (t->spectral) {
+        if (!converted && !survives_surface(t, w, p, material, &s))
+            return 0;
+    } else
+#endif
+    {
+        const uint32_t each = survivors(p, share);
+        w->counts.absorbed += units_of(p) * (int64_t)photons * (1 - (int64_t)each);
+        photons *= each;
+    }
     if (photons == 0)
         return 0;
 #if KERNEL_FEATURES & TRACER_SOLIDS
     if (s.event & LUM_BOUNDARY && !cross_boundary(p, material, surface->front)) {
-        w->counts.lost += photons;
+        w->counts.lost += photons * units_of(p);
         return 0;
     }
 #endif
@@ -378,7 +561,7 @@ static inline bool interact(const tracer *t, worker *w, uint32_t i)
     const int32_t material = (int32_t)(surface.material - t->model->materials);
 #if (KERNEL_FEATURES & TRACER_SOLIDS) && !(KERNEL_FEATURES & TRACER_MEDIA)
     if (!notice_birth_inside(t, &w->path[i], material, surface.front)) {
-        ++w->counts.lost;
+        w->counts.lost += units_of(&w->path[i]);
         return false;
     }
 #endif
@@ -402,7 +585,7 @@ static void draw(const tracer *t, worker *w, uint64_t first, uint32_t next, uint
 }
 
 /* Starts the next photon drawn as path i of the wave; false if it is lost at once. */
-static inline bool start(worker *w, uint32_t i)
+static inline bool start(const tracer *t, worker *w, uint32_t i)
 {
     const lum_photons *drawn = &w->drawn;
     const uint32_t k = w->drawn_next++;
@@ -423,10 +606,23 @@ static inline bool start(worker *w, uint32_t i)
     w->origin[i] = o;
     w->direction[i] = d;
     ++w->counts.photons;
-    if (isfinite(o.x + o.y + o.z + d.x + d.y + d.z + p->colour[0] + p->colour[1] + p->colour[2]))
-        return true;
-    ++w->counts.lost;
-    return false;
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    p->units = TRACER_UNITS(KERNEL_FEATURES);
+#endif
+    if (!isfinite(o.x + o.y + o.z + d.x + d.y + d.z + p->colour[0] + p->colour[1] + p->colour[2])) {
+        w->counts.lost += units_of(p);
+        return false;
+    }
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    if (t->spectral) {
+        const float rgb[3] = {(float)p->colour[0], (float)p->colour[1], (float)p->colour[2]};
+        const double wave = lum_rng_next(&p->rng);
+        return change_luminance(w, p, bake_waves_emit(t->spectral, drawn->material[k], rgb, wave, &p->waves));
+    }
+#else
+    (void)t;
+#endif
+    return true;
 }
 
 /* ---------------------------------------------------------------------------------------------------------- the wave */
@@ -465,7 +661,7 @@ static void follow_alone(const tracer *t, worker *w, uint32_t i)
         if (!interact(t, w, i))
             return;
         if (w->path[i].segments == RUNAWAY_SEGMENTS) {
-            ++w->counts.lost;
+            w->counts.lost += units_of(&w->path[i]);
             if (w->trap.trapped < TRACER_TRAPPED_KEPT)
                 w->trap.triangle[w->trap.trapped] = w->hit[i].triangle;
             ++w->trap.trapped;
@@ -507,7 +703,7 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
                 if (w->drawn_next == w->drawn_count)
                     draw(t, w, first, next, (uint32_t)count);
                 ++next;
-                w->alive += start(w, w->alive);
+                w->alive += start(t, w, w->alive);
             } else {
                 break;
             }

@@ -14,6 +14,7 @@
 #define BAKER_TRACER_STATE_H
 
 #include "parallel.h"
+#include "spectral.h"
 #include "source.h"
 
 #include <luminaires/medium.h>
@@ -29,6 +30,7 @@
 #define TRACER_ABSORPTION 8u   /* inside solids; needs TRACER_SOLIDS */
 #define TRACER_POLARIZATION 16u /* photons carry a polarization from one specular event to the next */
 #define TRACER_MEDIA 32u       /* scattering on the way: inside solids and in volumes; needs TRACER_SOLIDS, TRACER_ABSORPTION */
+#define TRACER_SPECTRAL 64u    /* light by wavelength (spectral.h), where the tracer has the tables for it */
 
 /* What the loop needs of a material, in one cache line per few materials. */
 typedef struct tracer_medium {
@@ -39,6 +41,9 @@ typedef struct tracer_medium {
     lum_medium inside; /* where it scatters */
 } tracer_medium;
 
+/* Kernels count light in whole units: photons, or of a path whose luminance isn't 1, these parts of a photon. */
+#define TRACER_UNITS(features) ((features) & TRACER_SPECTRAL ? 1 << 20 : 1)
+
 typedef struct tracer_kernel tracer_kernel;
 
 typedef struct tracer {
@@ -48,12 +53,14 @@ typedef struct tracer {
     lum_emitters *emitters;
     tracer_medium *media; /* per material */
     lum_volumes *volumes; /* outside of solids; NULL = none */
+    bake_spectral *spectral; /* NULL: light of this model has R,G,B */
     const tracer_kernel *kernel;
     uint64_t seed;
 } tracer;
 
 typedef struct tracer_counts {
-    int64_t photons, escaped, absorbed, lost, lost_inside, segments;
+    int64_t photons, segments;
+    int64_t escaped, absorbed, lost, lost_inside; /* TRACER_UNITS each photon */
 } tracer_counts;
 
 /* Where light goes round for ever: the last triangles of paths that were given up (a few, enough to name the place). */

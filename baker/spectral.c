@@ -1,0 +1,469 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Light by wavelength, for the photon tracer (spectral.h).  Relies on luminaires/spectrum.h for spectra and colours. */
+#include "spectral.h"
+
+#include <luminaires/scatter.h>
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Powers of y, x, z in the importance. */
+static const double FOR_Y = 0.5, FOR_X = 0.2, FOR_Z = 0.3;
+
+/* -------------------------------------------------------------------------------------------------------------- tables */
+
+static bool varies(const lum_spectrum *s)
+{
+    for (int i = 1; s && i < LUM_SPECTRUM_COUNT; ++i)
+        if (s->value[i] != s->value[0])
+            return true;
+    return false;
+}
+
+static bool spreads(const lum_material *m)
+{
+    return m->kind == LUM_SURFACE_PBR && !m->thin && m->transmission > 0 && varies(m->spectral.index);
+}
+
+bool bake_is_spectral(const lum_model *model)
+{
+    bool emission = false, metal = false;
+    for (uint32_t i = 0; i < model->material_count; ++i) {
+        const lum_material *m = &model->materials[i];
+        const lum_spectral *s = &m->spectral;
+        if (spreads(m) || s->converted || s->reflectance || s->transmittance || s->absorption)
+            return true;
+        emission |= s->emission != NULL;
+        metal |= s->eta && s->k;
+    }
+    /* A metal by name is spectral where a light is. */
+    return emission && metal;
+}
+
+static double grid_weight(int i)
+{
+    return i == 0 || i == LUM_SPECTRUM_COUNT - 1 ? 0.5 : 1;
+}
+
+/* Integral of a times b (NULL: 1) by the trapezoidal rule on the grid. */
+static double integral(const lum_spectrum *a, const lum_spectrum *b)
+{
+    double sum = 0;
+    for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i)
+        sum += grid_weight(i) * (double)a->value[i] * (b ? (double)b->value[i] : 1);
+    return sum;
+}
+
+/* Light to draw from: its luminance per nm, and wavelengths in equal steps of importance.  Between knots wavelengths are spread
+ * evenly, which is a density of its own and makes weights exact whatever the knots. */
+static void make_light(const bake_spectral *spectral, const lum_spectrum *power, bake_light *light)
+{
+    enum { KNOTS = BAKE_WAVES * BAKE_WAVE_KNOTS };
+    double nm_power = 0;
+    for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
+        double o[3];
+        lum_observer(LUM_NM_FIRST + i, o);
+        light->luminance.value[i] = (float)((double)power->value[i] * o[1]);
+        nm_power += grid_weight(i) * (double)power->value[i] * (LUM_NM_FIRST + i);
+    }
+    const double luminance = integral(&light->luminance, NULL), watts = integral(power, NULL);
+    light->efficacy = 683 * luminance / watts;
+    light->mean_nm = nm_power / watts;
+    double sum[LUM_SPECTRUM_COUNT];
+    sum[0] = 0;
+    for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
+        light->luminance.value[i] = (float)((double)light->luminance.value[i] / luminance);
+        if (i > 0) {
+            double step = 0;
+            for (int k = i - 1; k <= i; ++k)
+                step += 0.5 * (double)light->luminance.value[k] * (double)spectral->importance.value[k];
+            sum[i] = sum[i - 1] + step;
+        }
+    }
+    const double total = sum[LUM_SPECTRUM_COUNT - 1];
+    int at = 0;
+    for (int k = 0; k <= KNOTS; ++k) {
+        const double aim = total * k / KNOTS;
+        while (at < LUM_SPECTRUM_COUNT - 2 && (sum[at + 1] < aim || (k == 0 && !(sum[at + 1] > 0))))
+            ++at;
+        const double step = sum[at + 1] - sum[at];
+        const double f = step > 0 ? fmin(fmax((aim - sum[at]) / step, 0), 1) : 1;
+        light->knots[k] = (float)(LUM_NM_FIRST + at + f);
+    }
+}
+
+static void make_observer_tables(bake_spectral *s, const lum_model *model)
+{
+    lum_spectrum white;
+    double xyz[3];
+    lum_spectrum_illuminant("D65", &white);
+    lum_spectrum_xyz(&white, xyz);
+    for (int c = 0; c < 3; ++c)
+        s->white_rgb[c] = 0;
+    double rgb[3];
+    lum_xyz_to_rgb(xyz, rgb);
+    for (int c = 0; c < 3; ++c)
+        s->white_rgb[c] = rgb[c] / xyz[1];
+    for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
+        const double nm = LUM_NM_FIRST + i;
+        double o[3], basis[3];
+        lum_observer(nm, o);
+        lum_colour_basis(nm, basis);
+        const double unit[3] = {o[0] / o[1], 1, o[2] / o[1]};
+        lum_xyz_to_rgb(o, rgb);
+        s->observer.value[i] = (float)o[1];
+        for (int c = 0; c < 3; ++c) {
+            s->basis[c].value[i] = (float)basis[c];
+            s->colour[c].value[i] = (float)rgb[c];
+        }
+        s->importance.value[i] = (float)(FOR_Y + FOR_X * unit[0] * xyz[1] / xyz[0] + FOR_Z * unit[2] * xyz[1] / xyz[2]);
+    }
+    /* What phosphors make of a wavelength counts as the luminance that it becomes. */
+    for (uint32_t m = 0; m < model->material_count; ++m) {
+        const lum_spectral *p = &model->materials[m].spectral;
+        if (!p->converted)
+            continue;
+        double mean = 0, watts = integral(p->converted, NULL);
+        for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i)
+            mean += grid_weight(i) * (double)p->converted->value[i] * (LUM_NM_FIRST + i) / watts;
+        const double efficacy = lum_spectrum_efficacy(p->converted);
+        for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
+            double o[3];
+            const double nm = LUM_NM_FIRST + i;
+            lum_observer(nm, o);
+            const double gain = (double)p->excitation->value[i] * (double)p->quantum_yield * nm / mean * efficacy / (683 * o[1]);
+            s->importance.value[i] = (float)fmax((double)s->importance.value[i], gain);
+        }
+    }
+}
+
+static lmg_result make_phosphor(bake_spectral *s, const lum_material *m, bake_spectral_material *out, lmg_error *err)
+{
+    bake_phosphor *p = out->phosphor = calloc(1, sizeof *p);
+    if (!p)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for spectra");
+    p->excitation = m->spectral.excitation;
+    p->forward = (double)m->spectral.forward;
+    make_light(s, m->spectral.converted, &p->light);
+    p->importance = integral(&p->light.luminance, &s->importance);
+    /* Watts absorbed per lumen, 1 / (683 y); photons keep their number but for the yield, so watts shrink by nm / mean_nm. */
+    p->gain = (double)m->spectral.quantum_yield / p->light.mean_nm * p->light.efficacy / 683;
+    return LMG_OK;
+}
+
+static lmg_result make_material(bake_spectral *s, const lum_material *m, bake_spectral_material *out, lmg_error *err)
+{
+    const lum_spectral *from = &m->spectral;
+    out->index = spreads(m) ? from->index : NULL;
+    out->refracts = out->index != NULL;
+    out->absorption = from->absorption;
+    memcpy(out->rgb_reflectance, m->base_color, sizeof out->rgb_reflectance);
+    if (from->converted) {
+        const lmg_result result = make_phosphor(s, m, out, err);
+        if (result)
+            return result;
+    }
+    if (m->kind == LUM_SURFACE_CONDUCTOR && from->eta && from->k) {
+        out->tint = BAKE_TINT_CONDUCTOR;
+        for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i)
+            out->reflectance.value[i] = (float)lum_fresnel_conductor(1, (double)from->eta->value[i], (double)from->k->value[i]);
+        for (int c = 0; c < 3; ++c)
+            out->rgb_reflectance[c] = (float)lum_fresnel_conductor(1, (double)m->eta[c], (double)m->k[c]);
+    } else if (m->kind == LUM_SURFACE_CONDUCTOR && from->reflectance) {
+        out->tint = BAKE_TINT_MIRROR;
+        for (int c = 1; c < 3; ++c)
+            out->brightest = m->base_color[c] > m->base_color[out->brightest] ? c : out->brightest;
+        out->reflectance = *from->reflectance;
+    } else if (from->reflectance || from->transmittance) {
+        /* Scattering chooses the far side with the chance d. */
+        const double d = (double)m->diffuse_transmission;
+        out->tint = BAKE_TINT_DIFFUSE;
+        for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
+            out->reflectance.value[i] = from->reflectance && d < 1 ? (float)((double)from->reflectance->value[i] / (1 - d)) : 0;
+            out->transmittance.value[i] = from->transmittance && d > 0 ? (float)((double)from->transmittance->value[i] / d) : 0;
+        }
+    }
+    if (from->emission) {
+        out->emission = malloc(sizeof *out->emission);
+        if (!out->emission)
+            return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for spectra");
+        make_light(s, from->emission, out->emission);
+    }
+    return LMG_OK;
+}
+
+lmg_result bake_spectral_create(const lum_model *model, bake_spectral **out, lmg_error *err)
+{
+    lum_spectrum white;
+    *out = NULL;
+    bake_spectral *s = calloc(1, sizeof *s);
+    if (s)
+        s->materials = calloc((size_t)model->material_count + 1, sizeof *s->materials);
+    lmg_result result = s && s->materials ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for spectra");
+    if (!result) {
+        s->material_count = model->material_count;
+        make_observer_tables(s, model);
+        lum_spectrum_illuminant("D65", &white);
+        make_light(s, &white, &s->white);
+    }
+    for (uint32_t i = 0; i < model->material_count && !result; ++i)
+        result = make_material(s, &model->materials[i], &s->materials[i], err);
+    if (result) {
+        bake_spectral_destroy(s);
+        return result;
+    }
+    *out = s;
+    return LMG_OK;
+}
+
+void bake_spectral_destroy(bake_spectral *spectral)
+{
+    if (!spectral)
+        return;
+    for (uint32_t i = 0; spectral->materials && i < spectral->material_count; ++i) {
+        free(spectral->materials[i].emission);
+        free(spectral->materials[i].phosphor);
+    }
+    free(spectral->materials);
+    free(spectral);
+}
+
+/* ------------------------------------------------------------------------------------------------------------- drawing */
+
+/* Wavelengths at the same place of each eighth of the light's importance, and how many nm each stands for. */
+static void draw(const bake_light *light, double u, bake_waves *out, double stands_for[BAKE_WAVES])
+{
+    const double x = u * BAKE_WAVE_KNOTS;
+    int k = (int)x;
+    k = k < BAKE_WAVE_KNOTS ? k : BAKE_WAVE_KNOTS - 1;
+    const double f = x - k;
+    out->count = BAKE_WAVES;
+    for (int i = 0; i < BAKE_WAVES; ++i) {
+        const float *knot = &light->knots[i * BAKE_WAVE_KNOTS + k];
+        const double step = (double)knot[1] - (double)knot[0];
+        out->nm[i] = (float)((double)knot[0] + f * step);
+        stands_for[i] = step * BAKE_WAVE_KNOTS;
+    }
+}
+
+/* Shares of 1 from luminances; returns their sum. */
+static double normalize(const bake_spectral *spectral, const double luminance[BAKE_WAVES], bake_waves *out)
+{
+    double sum = 0;
+    for (int i = 0; i < BAKE_WAVES; ++i)
+        sum += luminance[i];
+    if (!(sum > 0))
+        return 0;
+    for (int i = 0; i < BAKE_WAVES; ++i) {
+        out->share[i] = (float)(luminance[i] / sum);
+        out->importance[i] = (float)lum_spectrum_at(&spectral->importance, (double)out->nm[i]);
+    }
+    return sum;
+}
+
+double bake_waves_draw(const bake_spectral *spectral, const bake_light *light, double u, bake_waves *out)
+{
+    double luminance[BAKE_WAVES];
+    draw(light, u, out, luminance);
+    for (int i = 0; i < BAKE_WAVES; ++i)
+        luminance[i] *= lum_spectrum_at(&light->luminance, (double)out->nm[i]);
+    return normalize(spectral, luminance, out);
+}
+
+double bake_waves_emit(const bake_spectral *spectral, int32_t material, const float rgb[3], double u, bake_waves *out)
+{
+    if (material >= 0 && spectral->materials[material].emission)
+        return bake_waves_draw(spectral, spectral->materials[material].emission, u, out);
+    double luminance[BAKE_WAVES];
+    draw(&spectral->white, u, out, luminance);
+    for (int i = 0; i < BAKE_WAVES; ++i) {
+        const double nm = (double)out->nm[i];
+        double colour = 0;
+        for (int c = 0; c < 3; ++c)
+            colour += (double)rgb[c] / spectral->white_rgb[c] * lum_spectrum_at(&spectral->basis[c], nm);
+        luminance[i] *= lum_spectrum_at(&spectral->white.luminance, nm) * colour;
+    }
+    return normalize(spectral, luminance, out);
+}
+
+void bake_waves_rgb(const bake_spectral *spectral, const bake_waves *waves, double rgb[3])
+{
+    rgb[0] = rgb[1] = rgb[2] = 0;
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        /* Colour over y: the quotient itself is too curved to be taken as linear within a nanometre. */
+        const double nm = (double)waves->nm[i], share = (double)waves->share[i] / lum_spectrum_at(&spectral->observer, nm);
+        for (int c = 0; c < 3; ++c)
+            rgb[c] += share * lum_spectrum_at(&spectral->colour[c], nm);
+    }
+}
+
+/* -------------------------------------------------------------------------------------------------------------- events */
+
+/* A reflectance r by wavelength that scattering took as g in R,G,B, of which it left w.  Light scattered more than once on a rough
+ * surface loses more: w = g^2 (1 - l) / (1 - g l), l the share of facets' light that meets another one. */
+static double repeated(double r, double g, double w)
+{
+    if (w == g || !(g > 0) || g == 1)
+        return r;
+    const double l = (g * g - w) / (g * (g - w));
+    return r * r * (1 - l) / (1 - r * l);
+}
+
+/* Linear between what is known at 465, 550 and 610 nm (lum_metal). */
+static double between(const float rgb[3], double nm)
+{
+    const double r = (double)rgb[0], g = (double)rgb[1], b = (double)rgb[2];
+    return nm <= 465 ? b : nm <= 550 ? b + (nm - 465) / 85 * (g - b) : nm <= 610 ? g + (nm - 550) / 60 * (r - g) : r;
+}
+
+void bake_waves_scattered(const bake_spectral *spectral, int32_t material, bool reflected, const float rgb[3], const bake_waves *waves,
+                          float share[BAKE_WAVES])
+{
+    const bake_spectral_material *m = &spectral->materials[material];
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        const double nm = (double)waves->nm[i];
+        switch (m->tint) {
+        case BAKE_TINT_DIFFUSE:
+            share[i] = (float)lum_spectrum_at(reflected ? &m->reflectance : &m->transmittance, nm);
+            break;
+        case BAKE_TINT_MIRROR:
+            share[i] = (float)repeated(lum_spectrum_at(&m->reflectance, nm), (double)m->rgb_reflectance[m->brightest],
+                                       (double)rgb[m->brightest]);
+            break;
+        case BAKE_TINT_CONDUCTOR: {
+            /* Exact at normal incidence at all wavelengths, and at all angles at three; between, absorptances scale alike. */
+            const double known = 1 - between(m->rgb_reflectance, nm), here = 1 - lum_spectrum_at(&m->reflectance, nm);
+            const double left = 1 - (1 - between(rgb, nm)) * (known > 0 ? here / known : 1);
+            share[i] = left > 0 ? (float)left : 0;
+            break;
+        }
+        case BAKE_TINT_RGB:
+        default:
+            share[i] = rgb[1];
+            if (rgb[0] != rgb[1] || rgb[2] != rgb[1])
+                share[i] += (float)((double)(rgb[0] - rgb[1]) * lum_spectrum_at(&spectral->basis[0], nm) +
+                                    (double)(rgb[2] - rgb[1]) * lum_spectrum_at(&spectral->basis[2], nm));
+            break;
+        }
+    }
+}
+
+void bake_waves_absorbed(const bake_spectral *spectral, int32_t material, const double absorption[3], double length,
+                         const bake_waves *waves, float share[BAKE_WAVES])
+{
+    const lum_spectrum *s = spectral->materials[material].absorption;
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        const double nm = (double)waves->nm[i];
+        double a = 0;
+        if (s) {
+            a = lum_spectrum_at(s, nm);
+        } else {
+            for (int c = 0; c < 3; ++c)
+                a += absorption[c] * lum_spectrum_at(&spectral->basis[c], nm);
+        }
+        share[i] = (float)exp(-a * length);
+    }
+}
+
+bool bake_waves_fly(const bake_spectral *spectral, const lum_medium *medium, double length, lum_rng *rng, const bake_waves *waves,
+                    float share[BAKE_WAVES], double *t)
+{
+    double scattering[BAKE_WAVES], extinction[BAKE_WAVES], chance[BAKE_WAVES], all = 0;
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        scattering[i] = extinction[i] = 0;
+        for (int c = 0; c < 3; ++c) {
+            const double b = lum_spectrum_at(&spectral->basis[c], (double)waves->nm[i]);
+            scattering[i] += b * medium->scattering[c];
+            extinction[i] += b * medium->extinction[c];
+        }
+        chance[i] = (double)waves->share[i] * (double)waves->importance[i];
+        all += chance[i];
+    }
+    double u = lum_rng_next(rng) * all;
+    uint32_t chosen = 0;
+    while (chosen + 1 < waves->count && u >= chance[chosen])
+        u -= chance[chosen++];
+    *t = extinction[chosen] > 0 ? -log1p(-lum_rng_next(rng)) / extinction[chosen] : (double)INFINITY;
+    const bool passes = !(*t < length);
+    double density = 0, reach[BAKE_WAVES];
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        reach[i] = extinction[i] > 0 ? exp(-extinction[i] * (passes ? length : *t)) : 1;
+        density += chance[i] / all * reach[i] * (passes ? 1 : extinction[i]);
+    }
+    for (uint32_t i = 0; i < waves->count; ++i)
+        share[i] = density > 0 ? (float)(reach[i] * (passes ? 1 : scattering[i]) / density) : 0;
+    return passes;
+}
+
+void bake_waves_colours(const bake_spectral *spectral, const bake_waves *waves, double colours[3])
+{
+    double all = 0;
+    colours[0] = colours[1] = colours[2] = 0;
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        const double importance = (double)waves->share[i] * (double)waves->importance[i];
+        all += importance;
+        for (int c = 0; c < 3; ++c)
+            colours[c] += importance * lum_spectrum_at(&spectral->basis[c], (double)waves->nm[i]);
+    }
+    for (int c = 0; c < 3; ++c)
+        colours[c] /= all;
+}
+
+void bake_waves_factors(const bake_spectral *spectral, const double factor[3], const bake_waves *waves, float share[BAKE_WAVES])
+{
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        double sum = 0;
+        for (int c = 0; c < 3; ++c)
+            sum += factor[c] * lum_spectrum_at(&spectral->basis[c], (double)waves->nm[i]);
+        share[i] = (float)sum;
+    }
+}
+
+double bake_waves_choose(bake_waves *waves, double u)
+{
+    if (waves->count == 1)
+        return 1;
+    double sum = 0, before = 0;
+    for (uint32_t i = 0; i < waves->count; ++i)
+        sum += (double)waves->share[i] * (double)waves->importance[i];
+    uint32_t chosen = 0;
+    double chance = 0;
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        const double mine = (double)waves->share[i] * (double)waves->importance[i] / sum;
+        if (mine > 0) { /* also the last one where rounding leaves u beyond the sum */
+            chosen = i;
+            chance = mine;
+        }
+        before += mine;
+        if (u < before)
+            break;
+    }
+    const double factor = (double)waves->share[chosen] / chance;
+    waves->nm[0] = waves->nm[chosen];
+    waves->importance[0] = waves->importance[chosen];
+    waves->share[0] = 1;
+    waves->count = 1;
+    return factor;
+}
+
+double bake_waves_weigh(bake_waves *waves, const float share[BAKE_WAVES], double *luminance)
+{
+    if (waves->count == 1) {
+        *luminance = (double)share[0];
+        return (double)share[0];
+    }
+    double before = 0, after = 0, light = 0, left[BAKE_WAVES];
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        left[i] = (double)waves->share[i] * (double)share[i];
+        light += left[i];
+        before += (double)waves->share[i] * (double)waves->importance[i];
+        after += left[i] * (double)waves->importance[i];
+    }
+    *luminance = light;
+    if (!(light > 0))
+        return 0;
+    for (uint32_t i = 0; i < waves->count; ++i)
+        waves->share[i] = (float)(left[i] / light);
+    return after / before;
+}
