@@ -45,4 +45,9 @@ struct lum_rayfile;
 lmg_result bake_rayfile_source_create(const struct lum_rayfile *file, uint64_t seed, unsigned threads, bake_source **out,
                                       lmg_error *err);
 
+/* Rays of a far-field distribution from its luminous shape, centred on the origin: the area source that looks equally bright all over
+ * and has this far field.  The distribution is copied.  A point gets bounds of 1 mm.  Errors: LMG_ERROR_INPUT when it holds no light. */
+struct lum_photometry;
+lmg_result bake_profile_source_create(const struct lum_photometry *photometry, uint64_t seed, bake_source **out, lmg_error *err);
+
 #endif
