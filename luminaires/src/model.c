@@ -3,6 +3,8 @@
 #include "model_build.h"
 #include "recipe.h"
 
+#include <luminaires/medium.h>
+
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -69,7 +71,7 @@ static lmg_result build(lum_build *b)
     LUM_TRY(lum_recipe_apply(b));
     lum_warn_model(b);
     b->model->hash = lum_recipe_hash(b->recipe, b->file->hash);
-    return LMG_OK;
+    return lum_recipe_apply_volumes(b);
 }
 
 lmg_result lum_model_load(const char *path, const lum_recipe *recipe, lum_model **out, lmg_error *err)
@@ -127,6 +129,9 @@ void lum_model_destroy(lum_model *model)
     free(model->spectra);
     free(model->lights);
     free(model->cameras);
+    for (uint32_t i = 0; i < model->volume_count; i++)
+        lum_grid_destroy(model->volumes[i].grid);
+    free(model->volumes);
     for (uint32_t i = 0; i < model->warning_count; i++)
         free(model->warnings[i]);
     free(model->warnings);

@@ -72,6 +72,11 @@ lmg_result lum_find_inside(lum_build *b, bool **inside);
 bool lum_recipe_leaves_out(lum_build *b, int32_t node, const char *mesh, const char *material);
 bool lum_recipe_darkens(lum_build *b, int32_t node, const char *light);
 lmg_result lum_recipe_apply(lum_build *b);
+/* recipe_medium.c: whether the material that an entry with a medium gave is a solid; loads the recipe's volumes, when the model has its
+ * hash and bounds. */
+struct lum_recipe_entry;
+lmg_result lum_recipe_check_medium(lum_build *b, const struct lum_recipe_entry *e, const lum_material *material);
+lmg_result lum_recipe_apply_volumes(lum_build *b);
 double lum_recipe_scale(const lum_recipe *recipe);
 /* Continues a hash over everything the recipe says. */
 uint64_t lum_recipe_hash(const lum_recipe *recipe, uint64_t hash);

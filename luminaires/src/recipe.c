@@ -167,6 +167,7 @@ static void read_entry_keys(lum_reader *r, lum_recipe_entry *e)
     read_conductor(r, e);
     read_diffuse(r, e);
     read_diffuse_transmission(r, e);
+    lum_recipe_read_medium(r, e);
     if (lum_reader_bool(r, "black", &black) && black)
         set_finish(r, "black", e, LUM_FINISH_BLACK);
     double ior;
@@ -183,7 +184,7 @@ static void read_entry_keys(lum_reader *r, lum_recipe_entry *e)
         lum_reader_fail(r, "no_emission", "contradicts \"emitter\"");
     lum_reader_check_rest(r); /* before complaining that it says nothing: a misspelt key is why */
     if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && e->ior == 0 &&
-        e->finish == LUM_FINISH_NONE)
+        e->finish == LUM_FINISH_NONE && !e->has_medium)
         lum_reader_fail(r, "", "says nothing about \"%.60s\"", e->match);
 }
 
@@ -215,12 +216,13 @@ static void read_globals(lum_recipe *recipe, lum_reader *r)
     lum_reader_number(r, "flux", 1e-12, 1e12, &recipe->flux);
 }
 
-static lmg_result read_document(lum_recipe *recipe, json_t *root, lmg_error *err)
+static lmg_result read_document(lum_recipe *recipe, json_t *root, const char *folder, lmg_error *err)
 {
     lum_reader r = {.object = root, .err = err};
     if (!json_is_object(root))
         return lmg_fail(err, LMG_ERROR_INPUT, "a recipe is an object, { ... }; see docs/recipe.md");
     read_globals(recipe, &r);
+    lum_recipe_read_volumes(&r, folder, recipe);
     json_t *entries = lum_reader_take(&r, "entries");
     if (entries && !json_is_array(entries))
         lum_reader_fail(&r, "entries", "must be an array");
@@ -248,6 +250,8 @@ void lum_recipe_destroy(lum_recipe *recipe)
 {
     if (recipe)
         free(recipe->entries);
+    if (recipe)
+        free(recipe->volumes);
     free(recipe);
 }
 
@@ -259,6 +263,8 @@ lmg_result lum_recipe_read(const char *path, lum_recipe **out, lmg_error *err)
     uint8_t *text = NULL;
     size_t size = 0;
     json_t *root = NULL;
+    char folder[1024];
+    snprintf(folder, sizeof folder, "%.*s", (int)(lum_base_name(path) - path), path);
     lmg_result result = lum_read_file(path, MAX_RECIPE_BYTES, &text, &size, err);
     if (!result) {
         json_error_t e;
@@ -267,7 +273,7 @@ lmg_result lum_recipe_read(const char *path, lum_recipe **out, lmg_error *err)
             result = lmg_fail(err, LMG_ERROR_INPUT, "not JSON: line %d, column %d: %.200s", e.line, e.column, e.text);
     }
     if (!result)
-        result = read_document(recipe, root, err);
+        result = read_document(recipe, root, folder, err);
     if (!result)
         recipe->hash = lum_fnv1a(recipe->hash, text, size);
     json_decref(root);

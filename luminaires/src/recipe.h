@@ -33,7 +33,20 @@ typedef struct lum_recipe_entry {
     double ior; /* 0 = not given */
     lum_finish finish;
     float reflectance[3], transmittance[3], roughness, eta[3], k[3], absorption[3];
+    bool has_medium;
+    float scattering[3], medium_absorption[3], anisotropy;
 } lum_recipe_entry;
+
+/* Smoke or haze: an OpenVDB file, or a box where path is empty. */
+typedef struct lum_recipe_volume {
+    char where[LUM_NAME_SIZE], name[LUM_NAME_SIZE];
+    char path[1024], grid[LUM_NAME_SIZE];
+    int interpolation;                  /* lum_interpolation */
+    double low[3], high[3];             /* of the box */
+    float scattering[3], absorption[3]; /* 1/m at density 1 */
+    float anisotropy;
+    double to_model[3][4]; /* from the file's world, or the box's frame, to the model's, in its units */
+} lum_recipe_volume;
 
 struct lum_recipe {
     double scale; /* metres per unit of the model */
@@ -41,6 +54,13 @@ struct lum_recipe {
     uint64_t hash;
     lum_recipe_entry *entries;
     uint32_t entry_count;
+    lum_recipe_volume *volumes;
+    uint32_t volume_count;
 };
+
+/* recipe_medium.c: reads an entry's "medium"; reads "volumes", whose files are looked for in `folder` (ending in "/", or ""). */
+struct lum_reader;
+void lum_recipe_read_medium(struct lum_reader *r, lum_recipe_entry *e);
+void lum_recipe_read_volumes(struct lum_reader *r, const char *folder, lum_recipe *recipe);
 
 #endif

@@ -136,7 +136,7 @@ static void plain(lum_material *m)
     for (int i = 0; i < 4; i++)
         m->base_color[i] = 1;
     for (int i = 0; i < 3; i++) {
-        m->absorption[i] = 0;
+        m->absorption[i] = m->scattering[i] = 0;
         m->diffuse_transmission_color[i] = 1;
     }
 }
@@ -216,7 +216,12 @@ static void apply_entry(lum_material *m, const lum_recipe_entry *e)
     if (e->has_thin) {
         m->thin = e->thin;
         for (int i = 0; i < 3 && e->thin; i++)
-            m->absorption[i] = 0;
+            m->absorption[i] = m->scattering[i] = 0;
+    }
+    if (e->has_medium) {
+        memcpy(m->scattering, e->scattering, sizeof m->scattering);
+        memcpy(m->absorption, e->medium_absorption, sizeof m->absorption);
+        m->anisotropy = e->anisotropy;
     }
     if (e->no_emission || e->emitter) {
         memset(m->emissive, 0, sizeof m->emissive); /* an emitter's luminance follows when its area is known */
@@ -279,6 +284,7 @@ static lmg_result find_variant(applying *a, uint32_t p)
         }
     variant v = {.base = part->material, .entries = hash, .dark = UINT32_MAX, .emitter = -1};
     lum_material changed = *base;
+    const lum_recipe_entry *medium = NULL;
     for (uint32_t i = 0; i < n; i++) {
         const lum_recipe_entry *e = &b->recipe->entries[i];
         if (!matches(b, e, b->part_node[p], part->mesh, base->name))
@@ -286,10 +292,14 @@ static lmg_result find_variant(applying *a, uint32_t p)
         apply_entry(&changed, e);
         if (e->emitter || e->no_emission)
             v.emitter = e->emitter ? (int32_t)i : -1;
+        if (e->has_medium)
+            medium = e;
         if (e->has_thin && changed.transmission == 0 && e->finish == LUM_FINISH_NONE)
             lum_warn(b, "recipe %s: \"thin\" changes nothing on material \"%.60s\", which lets no light through; \"glass\" would",
                      e->where, base->name);
     }
+    if (medium && (changed.scattering[0] > 0 || changed.scattering[1] > 0 || changed.scattering[2] > 0))
+        LUM_TRY(lum_recipe_check_medium(b, medium, &changed));
     LUM_TRY(add_material(a, &changed, &v.material));
     if (v.emitter >= 0 && b->recipe->entries[v.emitter].sides == LUM_SIDES_OUTSIDE)
         LUM_TRY(add_material(a, &changed, &v.dark));
