@@ -95,13 +95,6 @@ static void parse_distances(struct argp_state *state, const char *text, bake_com
     }
 }
 
-static void add_set(struct argp_state *state, lamp_options *lamp, const char *entry)
-{
-    if (lamp->set_count == sizeof(lamp->sets) / sizeof(lamp->sets[0]))
-        usage_error(state, "more than %zu recipe entries; write a recipe file", lamp->set_count);
-    lamp->sets[lamp->set_count++] = entry;
-}
-
 static error_t parse(int key, char *arg, struct argp_state *state)
 {
     command *c = state->input;
@@ -124,7 +117,7 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_SET_A:
     case KEY_SET_B:
-        add_set(state, &c->sides[key == KEY_SET_B].lamp, arg);
+        add_recipe_entry(state, &c->sides[key == KEY_SET_B].lamp, arg);
         break;
     case KEY_NO_RECIPE:
         c->no_recipe = true;

@@ -133,9 +133,7 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         c->lamp.no_recipe = true;
         break;
     case KEY_SET:
-        if (c->lamp.set_count == sizeof(c->lamp.sets) / sizeof(c->lamp.sets[0]))
-            usage_error(state, "--set: more than %zu entries; write a recipe file", c->lamp.set_count);
-        c->lamp.sets[c->lamp.set_count++] = arg;
+        add_recipe_entry(state, &c->lamp, arg);
         break;
     case KEY_SEED:
         c->seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);

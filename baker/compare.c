@@ -36,12 +36,11 @@ static lmg_vec3 cross(lmg_vec3 a, lmg_vec3 b)
     return (lmg_vec3){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-/* Sets up what both sources are measured with: planes stand clear of both. */
-static void set_up(instrument *in, lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 axis, const bake_compare_options *o)
+void set_up_instrument(instrument *in, lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 axis, double size, const double *distances, size_t count)
 {
-    in->plane_count = o->distance_count;
-    for (size_t i = 0; i < o->distance_count; ++i) {
-        in->planes[i] = bake_measuring_rectangle(lo, hi, axis, o->size, o->distances[i] * o->size, PIXELS);
+    in->plane_count = count;
+    for (size_t i = 0; i < count; ++i) {
+        in->planes[i] = bake_measuring_rectangle(lo, hi, axis, size, distances[i] * size, PIXELS);
         in->planes[i].colour = true;
     }
     in->far_field = (bake_sphere){.radius = INFINITY, .axis = axis, .rings = RINGS, .sectors = SECTORS, .colour = true};
@@ -51,7 +50,7 @@ static void set_up(instrument *in, lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 axis, cons
     const lmg_vec3 extent = {hi.x - lo.x, hi.y - lo.y, hi.z - lo.z};
     const double diagonal = sqrt(extent.x * extent.x + extent.y * extent.y + extent.z * extent.z);
     for (int i = 0; i < BAKE_RADII; ++i)
-        in->spheres[i] = (bake_sphere){.centre = centre, .radius = RADII[i] * o->size, .axis = axis, .rings = NEAR_RINGS,
+        in->spheres[i] = (bake_sphere){.centre = centre, .radius = RADII[i] * size, .axis = axis, .rings = NEAR_RINGS,
                                        .sectors = NEAR_SECTORS, .equal_angles = true};
     const lmg_vec3 first = bake_measuring_rectangle(lo, hi, axis, 1, 1, 1).a, second = cross(axis, first);
     for (int i = 0; i < BAKE_VIEWS; ++i) {
@@ -131,7 +130,7 @@ static lmg_result run_pilot(bake_source *source, unsigned threads, bake_ray_list
     return result;
 }
 
-static lmg_result main_axis(bake_source *source, unsigned threads, lmg_vec3 *axis, lmg_error *err)
+lmg_result source_main_axis(bake_source *source, unsigned threads, lmg_vec3 *axis, lmg_error *err)
 {
     bake_ray_list *list;
     const lmg_ray *rays;
@@ -186,19 +185,20 @@ static void moved_bounds(const bake_source *s, const bake_motion *motion, lmg_ve
     }
 }
 
-static const bake_motion NO_MOTION = {.rotation = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+const bake_motion BAKE_NO_MOTION = {.rotation = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
 
+/* Planes stand clear of both, before and after the motion. */
 static void set_up_for(instrument *in, const bake_source *a, const bake_motion *motion, const bake_source *b, lmg_vec3 axis,
                        const bake_compare_options *o)
 {
     lmg_vec3 lo, hi, lo_moved, hi_moved;
-    moved_bounds(a, &NO_MOTION, &lo, &hi);
+    moved_bounds(a, &BAKE_NO_MOTION, &lo, &hi);
     moved_bounds(a, motion, &lo_moved, &hi_moved);
     lo = (lmg_vec3){least(least(lo.x, lo_moved.x), b->bounds_min.x), least(least(lo.y, lo_moved.y), b->bounds_min.y),
                     least(least(lo.z, lo_moved.z), b->bounds_min.z)};
     hi = (lmg_vec3){most(most(hi.x, hi_moved.x), b->bounds_max.x), most(most(hi.y, hi_moved.y), b->bounds_max.y),
                     most(most(hi.z, hi_moved.z), b->bounds_max.z)};
-    set_up(in, lo, hi, axis, o);
+    set_up_instrument(in, lo, hi, axis, o->size, o->distances, o->distance_count);
 }
 
 /* ----------------------------------------------------------------------------------------------------------- measuring */
@@ -240,11 +240,7 @@ void measured_release(measured *m)
     m->count = 0;
 }
 
-/*
- * Measures a source in blocks, moved by `motion`, with the first `count` receivers; the planes and the far field unmoved as well, into
- * `unmoved`, unless that is NULL.
- */
-static lmg_result measure(bake_source *source, const instrument *in, size_t count, const bake_motion *motion, uint64_t first,
+lmg_result measure_source(bake_source *source, const instrument *in, size_t count, const bake_motion *motion, uint64_t first,
                           uint64_t photons, unsigned threads, measured *out, measured *unmoved, bake_tally *tally, lmg_error *err)
 {
     lmg_result result = LMG_OK;
@@ -289,9 +285,9 @@ static lmg_result is_better_moved(bake_source *a, bake_source *b, const instrume
     measured moved = {0}, unmoved = {0}, other = {0};
     bake_tally tally = {0};
     const size_t count = in->plane_count + 1;
-    lmg_result result = measure(a, in, count, motion, BAKE_PILOT_FIRST, photons, threads, &moved, &unmoved, &tally, err);
+    lmg_result result = measure_source(a, in, count, motion, BAKE_PILOT_FIRST, photons, threads, &moved, &unmoved, &tally, err);
     if (result == LMG_OK)
-        result = measure(b, in, count, &NO_MOTION, BAKE_PILOT_FIRST, photons, threads, &other, NULL, &tally, err);
+        result = measure_source(b, in, count, &BAKE_NO_MOTION, BAKE_PILOT_FIRST, photons, threads, &other, NULL, &tally, err);
     if (result == LMG_OK) {
         double sum[2] = {0, 0}, variance[2] = {0, 0};
         for (size_t i = 0; i < count; ++i)
@@ -330,7 +326,7 @@ static lmg_result run(bake_source *const sources[2], const bake_compare_options 
         const double began = bake_clock();
         bake_tally *t = &out->tally[s];
         const bool moving = s == 0 && !bake_motion_is_identity(motion);
-        result = measure(sources[s], &in, in.plane_count + RECEIVERS, s == 0 ? motion : &NO_MOTION, 0, photons, options->threads,
+        result = measure_source(sources[s], &in, in.plane_count + RECEIVERS, s == 0 ? motion : &BAKE_NO_MOTION, 0, photons, options->threads,
                          &sides[s], moving ? unmoved : NULL, t, err);
         out->seconds[s] = bake_clock() - began;
         const double share = t->escaped / (double)t->photons;
@@ -350,13 +346,13 @@ lmg_result bake_compare(bake_source *a, bake_source *b, const bake_compare_optio
             return lmg_fail(err, LMG_ERROR_ARGUMENT, "a distance of %g sizes isn't outside the luminaire", options->distances[i]);
     const uint64_t photons = options->photons ? options->photons : DEFAULT_PHOTONS;
     out->size = options->size;
-    lmg_result result = main_axis(b, options->threads, &out->axis, err);
+    lmg_result result = source_main_axis(b, options->threads, &out->axis, err);
 
     /* A hundredth of the rays for the alignment, but enough that it can tell a degree. */
     const uint64_t pilot = photons / 10 > 400000 ? 400000 : photons / 10 < 80000 ? 80000 : photons / 10;
     if (result == LMG_OK)
         result = bake_align(a, b, pilot, options->threads, &out->alignment, err);
-    bake_motion motion = NO_MOTION;
+    bake_motion motion = BAKE_NO_MOTION;
     if (result == LMG_OK && options->align && !bake_motion_is_identity(&out->alignment.motion)) {
         instrument in = {0};
         set_up_for(&in, a, &out->alignment.motion, b, out->axis, options);

@@ -49,6 +49,20 @@ typedef struct measured {
 
 void measured_release(measured *m);
 
+/* Sets up what sources within the bounds are measured with: planes across `axis`, spheres and pictures about the centre. */
+void set_up_instrument(instrument *in, lmg_vec3 lo, lmg_vec3 hi, lmg_vec3 axis, double size, const double *distances, size_t count);
+
+/*
+ * Measures a source in blocks, moved by `motion`, with the first `count` receivers; the planes and the far field unmoved as well, into
+ * `unmoved`, unless that is NULL.
+ */
+lmg_result measure_source(bake_source *source, const instrument *in, size_t count, const bake_motion *motion, uint64_t first,
+                          uint64_t photons, unsigned threads, measured *out, measured *unmoved, bake_tally *tally, lmg_error *err);
+extern const bake_motion BAKE_NO_MOTION;
+
+/* The axis (+-x, +-y, +-z) that most of a source's light goes along. */
+lmg_result source_main_axis(bake_source *source, unsigned threads, lmg_vec3 *axis, lmg_error *err);
+
 /* How the means of two readings differ, noise taken out. */
 bake_difference differ(const reading *a, const reading *b);
 

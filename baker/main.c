@@ -17,6 +17,7 @@ static const struct {
     {"probe", "measure in a box's light: illuminance, luminance, intensity", cmd_probe},
     {"merge", "parts of one bake, from several runs or machines, into its box", cmd_merge},
     {"compare", "two lamps or boxes on the same receivers: how much they differ", cmd_compare},
+    {"study", "what accuracy costs in time: a lamp's error against photons, cells and size", cmd_study},
     {"convert", "light from one form into another: ray files, boxes", cmd_convert},
 };
 enum { COMMAND_COUNT = sizeof(COMMANDS) / sizeof(COMMANDS[0]) };
@@ -30,7 +31,7 @@ static void print_help(FILE *to)
         fprintf(to, "  %-10s %s\n", COMMANDS[i].name, COMMANDS[i].what);
     fputs("\n  --help     this text; lumibake COMMAND --help tells a command's options\n"
           "  --version  versions of the program and of its libraries\n\n"
-          "Exit codes: 0 done, 1 failed, 2 usage, 3 bad input, 130 interrupted.\n\n"
+          "Exit codes: 0 done, 1 failed, 2 usage, 3 bad input, 4 compare: beyond the tolerance, 130 interrupted.\n\n"
           "Example:\n"
           "  lumibake bake lamp.gltf -o lamp.box.exr --time 60s\n",
           to);

@@ -179,6 +179,13 @@ void print_ledger(const lmg_ledger *l)
 
 /* ------------------------------------------------------------------------------------------------------------ recipes */
 
+void add_recipe_entry(const struct argp_state *state, lamp_options *lamp, const char *entry)
+{
+    if (lamp->set_count == sizeof(lamp->sets) / sizeof(lamp->sets[0]))
+        usage_error(state, "more than %zu recipe entries; write a recipe file", lamp->set_count);
+    lamp->sets[lamp->set_count++] = entry;
+}
+
 bool lamp_recipe_path(const lamp_options *lamp, char path[1024])
 {
     path[0] = 0;

@@ -19,6 +19,7 @@ int cmd_bake(int argc, char **argv);
 int cmd_info(int argc, char **argv);
 int cmd_probe(int argc, char **argv);
 int cmd_compare(int argc, char **argv);
+int cmd_study(int argc, char **argv);
 int cmd_convert(int argc, char **argv);
 int cmd_merge(int argc, char **argv);
 
@@ -56,6 +57,9 @@ typedef struct lamp_options {
     size_t set_count;
     const char *sets[64];
 } lamp_options;
+
+/* Adds what --set says; more entries than there is room for are a usage error. */
+void add_recipe_entry(const struct argp_state *state, lamp_options *lamp, const char *entry);
 
 /* The recipe that belongs to a lamp: found (true) and its path. */
 bool lamp_recipe_path(const lamp_options *lamp, char path[1024]);

@@ -390,6 +390,47 @@ static void test_compare(void **state)
     EXPECT(RUN("compare", lamp, lamp, "--photons", "1e5", "--distances", "1", "-o", "/no/such/folder/report.html"), 1, "report.html");
 }
 
+/* ---------------------------------------------------------------------------------------------------------------- study */
+
+/* A study of a few seconds: more photons and more cells make smaller errors, and what it advises does. */
+static void test_study(void **state)
+{
+    (void)state;
+    outcome o = RUN("study", lamp, "--time", "4s", "--json", "-o", in_folder("study.html"));
+    assert_int_equal(o.code, 0);
+    json_t *j = parse_json(o.out), *rungs = json_object_get(j, "rungs");
+    assert_int_equal(json_array_size(rungs), 12);
+    double error[2] = {0, 0}, photons[2] = {0, 0};
+    for (size_t i = 0; i < 8; ++i) {
+        json_t *r = json_array_get(rungs, i);
+        assert_string_equal(json_string_value(json_object_get(r, "ladder")), "photons");
+        const double n = number_at(r, "photons", NULL);
+        assert_true(n > photons[1]); /* each rung has more than the one before */
+        photons[1] = n;
+        error[i >= 4] += pow(number_at(json_object_get(r, "near_field"), "rms", NULL), 2) / 4;
+    }
+    assert_true(error[1] < error[0]);
+    assert_true(number_at(json_object_get(json_object_get(j, "fits"), "near_field"), "slope", NULL) < 0);
+    const double share = number_at(j, "deposit_share", NULL);
+    assert_true(share >= 0 && share < 1);
+    json_t *advice = json_object_get(j, "advice");
+    assert_int_equal(json_array_size(advice), 4);
+    double before = 0;
+    for (size_t i = 0; i < 4; ++i) {
+        json_t *a = json_array_get(advice, i);
+        if (!json_is_true(json_object_get(a, "reachable")))
+            continue;
+        assert_true(number_at(a, "seconds", NULL) >= before); /* less error never costs less */
+        before = number_at(a, "seconds", NULL);
+    }
+    json_decref(j);
+    release(&o);
+    assert_int_equal(access(in_folder("study.html"), F_OK), 0);
+    EXPECT(RUN("study"), 2, "which lamp");
+    EXPECT(RUN("study", lamp, lamp), 2, "one lamp");
+    EXPECT(RUN("study", "/no/such/a.gltf"), 3, "a.gltf");
+}
+
 /* ------------------------------------------------------------------------------------------------------------ bad input */
 
 static int files_tried, files_baked;
@@ -561,6 +602,7 @@ int main(void)
         cmocka_unit_test(test_probe),
         cmocka_unit_test(test_bad_tables),
         cmocka_unit_test(test_compare),
+        cmocka_unit_test(test_study),
         cmocka_unit_test(test_invalid_gltf),
         cmocka_unit_test(test_odd_gltf),
         cmocka_unit_test(test_wrong_kinds),
