@@ -22,6 +22,8 @@ static const char *const NAMES[BAKE_EFFECT_COUNT] = {
     [BAKE_GLASS_SMOOTH] = "glass-smooth",
     [BAKE_GLASS_ROUGH] = "glass-rough",
     [BAKE_ABSORPTION] = "absorption",
+    [BAKE_MEDIUM] = "medium",
+    [BAKE_VOLUMES] = "volumes",
     [BAKE_DIFFUSE_TRANSMISSION] = "diffuse-transmission",
     [BAKE_COVERAGE] = "coverage",
     [BAKE_TEXTURES] = "textures",
@@ -68,6 +70,8 @@ static uint32_t effects_of_material(const lum_material *m)
             e |= bit(m->thin ? BAKE_GLASS_THIN : smooth ? BAKE_GLASS_SMOOTH : BAKE_GLASS_ROUGH);
             if (!m->thin && (m->absorption[0] > 0 || m->absorption[1] > 0 || m->absorption[2] > 0))
                 e |= bit(BAKE_ABSORPTION);
+            if (!m->thin && (m->scattering[0] > 0 || m->scattering[1] > 0 || m->scattering[2] > 0))
+                e |= bit(BAKE_MEDIUM);
         }
         if (m->transmission < 1 || m->transmission_texture.image != LUM_NONE) {
             e |= bit(BAKE_DIFFUSE) | bit(BAKE_COAT);
@@ -86,6 +90,8 @@ uint32_t bake_effects_of(const struct lum_model *model)
         if (model->parts[i].triangle_count > 0 && m >= 0 && (uint32_t)m < model->material_count)
             e |= effects_of_material(&model->materials[m]);
     }
+    if (model->volume_count > 0)
+        e |= bit(BAKE_VOLUMES);
     for (uint32_t i = 0; i < model->light_count; ++i) {
         if (model->lights[i].kind == LUM_LIGHT_POINT)
             e |= bit(BAKE_EMISSION_POINT);

@@ -23,6 +23,8 @@ typedef enum bake_effect {
     BAKE_GLASS_SMOOTH, /* solids, refracting */
     BAKE_GLASS_ROUGH,
     BAKE_ABSORPTION,
+    BAKE_MEDIUM,  /* scattering inside solids */
+    BAKE_VOLUMES, /* smoke, haze: media in the space around */
     BAKE_DIFFUSE_TRANSMISSION,
     BAKE_COVERAGE, /* alpha mask and blend */
     BAKE_TEXTURES,

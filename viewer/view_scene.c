@@ -32,6 +32,26 @@ static double directional_illuminance(const lum_model *model)
     return sum;
 }
 
+/* Geometry whose light is scattered on its way isn't rendered; its baked box is. */
+static lmg_result refuse_media(const lum_model *model, lmg_error *err)
+{
+    if (model->volume_count > 0) {
+        return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
+                        "%s: has volumes (\"%.60s\"), which this renderer doesn't show; bake the lamp and use its box", model->path,
+                        model->volumes[0].name);
+    }
+    for (uint32_t i = 0; i < model->material_count; i++) {
+        const lum_material *m = &model->materials[i];
+        if (m->scattering[0] > 0 || m->scattering[1] > 0 || m->scattering[2] > 0) {
+            return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
+                            "%s: material \"%.60s\" is filled with a scattering medium, which this renderer doesn't show; bake the lamp "
+                            "and use its box",
+                            model->path, m->name);
+        }
+    }
+    return LMG_OK;
+}
+
 /* Fills an object from a file; on failure nothing is left over. */
 static lmg_result object_load(const char *path, const lum_recipe *recipe, view_object *out, lmg_error *err)
 {
@@ -41,7 +61,8 @@ static lmg_result object_load(const char *path, const lum_recipe *recipe, view_o
         return r;
     }
     const lum_model *model = out->model;
-    if (model->triangle_count) {
+    r = refuse_media(model, err);
+    if (r == LMG_OK && model->triangle_count) {
         r = lum_scene_create(model, &out->scene, err);
     }
     if (r == LMG_OK) {
