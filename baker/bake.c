@@ -5,7 +5,6 @@
  */
 #include "bake.h"
 
-#include "effects.h"
 #include "part.h"
 #include "receiver.h"
 #include "team.h"
@@ -109,10 +108,16 @@ static int compare_rays(const void *x, const void *y)
     return 0;
 }
 
-const lmg_ray *bake_ray_list_sorted(bake_ray_list *list, size_t *count)
+const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count)
 {
     const size_t n = atomic_load(&list->count);
     *count = n < list->capacity ? n : list->capacity;
+    return list->rays;
+}
+
+const lmg_ray *bake_ray_list_sorted(bake_ray_list *list, size_t *count)
+{
+    bake_ray_list_any_order(list, count);
     if (!list->sorted)
         qsort(list->rays, *count, sizeof(*list->rays), compare_rays);
     list->sorted = true;
@@ -124,7 +129,8 @@ const lmg_ray *bake_ray_list_sorted(bake_ray_list *list, size_t *count)
 typedef struct bake {
     const lum_model *model;
     const bake_options *options;
-    bake_source *tracer;
+    bake_source *tracer_of_all; /* with every effect of the model */
+    bake_source *tracer;        /* with those that the plan simulates */
     bake_ray_list *pilot; /* NULL when resumed */
     bake_part *part;
     bake_part *resume; /* what part is to become; NULL when it has */
@@ -165,11 +171,14 @@ static lmg_result run_pilot(bake *b, double seconds, lmg_error *err)
 
     size_t count;
     bake_ray_list_sorted(b->pilot, &count);
-    if (count == 0)
+    if (count == 0) {
+        char places[256];
+        bake_plan_where_absorbed(b->model, b->tracer, b->options->threads, places, sizeof(places));
         return lmg_fail(err, LMG_ERROR_INPUT,
-                        "%s: no light leaves the luminaire: of %" PRIu64 " photons %.0f were absorbed and %.0f lost; "
+                        "%.400s: no light leaves the luminaire: of %" PRIu64 " photons %.0f were absorbed and %.0f lost (%s); "
                         "does a closed or black part surround the source?",
-                        b->model->path, tally.photons, tally.absorbed, tally.lost);
+                        b->model->path, tally.photons, tally.absorbed, tally.lost, places[0] ? places : "nowhere in particular");
+    }
     return LMG_OK;
 }
 
@@ -330,10 +339,14 @@ static lmg_result identify(const bake *b, bake_part *part, lmg_error *err)
     char hash[17], seed[24], effects[512];
     snprintf(hash, sizeof(hash), "%016" PRIx64, b->model->hash);
     snprintf(seed, sizeof(seed), "%" PRIu64, b->options->seed);
-    bake_effects_print(b->report->effects, effects, sizeof(effects));
+    bake_effects_print(b->report->plan.simulated, effects, sizeof(effects));
+    char *plan = bake_plan_text(&b->report->plan);
     char *warnings = join_warnings(b->model);
-    if (!warnings)
+    if (!warnings || !plan) {
+        free(warnings);
+        free(plan);
         return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the warnings");
+    }
     const struct {
         bake_part_text which;
         const char *text;
@@ -345,12 +358,14 @@ static lmg_result identify(const bake *b, bake_part *part, lmg_error *err)
         {PART_SETTINGS, b->options->settings},
         {PART_SEED, seed},
         {PART_EFFECTS, effects},
+        {PART_PLAN, plan},
         {PART_WARNINGS, warnings[0] ? warnings : NULL},
     };
     lmg_result result = LMG_OK;
     for (size_t i = 0; result == LMG_OK && i < sizeof(texts) / sizeof(texts[0]); ++i)
         result = bake_part_set_text(part, texts[i].which, texts[i].text, err);
     free(warnings);
+    free(plan);
     part->source_flux = b->tracer->flux;
     part->flux_lm = b->options->flux_lm;
     part->output_flux_lm = b->options->output_flux_lm;
@@ -412,20 +427,36 @@ static lmg_result resume_part(bake *b, lmg_error *err)
     return LMG_OK;
 }
 
+/* Decides which effects are simulated, and makes the tracer that does. */
+static lmg_result plan_effects(bake *b, lmg_error *err)
+{
+    const bake_options *o = b->options;
+    bake_plan *plan = &b->report->plan;
+    const double began = bake_clock();
+    lmg_result result = bake_tracer_create(b->model, o->seed, &b->tracer_of_all, err);
+    if (result == LMG_OK && o->effects_chosen)
+        bake_plan_choose(b->model, o->effects, plan);
+    if (result == LMG_OK && !o->effects_chosen) {
+        const bake_plan_options how = {.error = o->effects_error, .threads = o->threads};
+        result = bake_plan_make(b->model, b->tracer_of_all, o->seed, &how, plan, err);
+    }
+    if (result == LMG_OK)
+        result = bake_tracer_create_with(b->model, plan->simulated, o->seed, b->tracer_of_all, &b->tracer, err);
+    b->report->plan_seconds = bake_clock() - began;
+    return result;
+}
+
 static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
 {
     const bake_options *o = b->options;
     bake_report *r = b->report;
     const double seconds = o->seconds > 0 ? o->seconds : DEFAULT_SECONDS;
-    r->effects = bake_effects_of(b->model);
-    lmg_result result = bake_tracer_create(b->model, o->seed, &b->tracer, err);
-    if (result != LMG_OK)
-        return result;
-
-    result = bake_part_create(&b->part, err);
+    const double began = bake_clock();
+    lmg_result result = plan_effects(b, err);
+    if (result == LMG_OK)
+        result = bake_part_create(&b->part, err);
     if (result == LMG_OK)
         result = identify(b, b->part, err);
-    const double began = bake_clock();
     if (result == LMG_OK)
         result = b->resume ? resume_part(b, err) : begin_part(b, seconds, err);
     if (result == LMG_OK)
@@ -465,5 +496,7 @@ lmg_result bake_run(const struct lum_model *model, const bake_options *options, 
     bake_ray_list_destroy(b.pilot);
     if (b.tracer)
         b.tracer->destroy(b.tracer);
+    if (b.tracer_of_all) /* lends to the other */
+        b.tracer_of_all->destroy(b.tracer_of_all);
     return result;
 }

@@ -6,6 +6,7 @@
 #ifndef BAKER_BAKE_H
 #define BAKER_BAKE_H
 
+#include "plan.h"
 #include "source.h"
 
 #include <signal.h>
@@ -31,6 +32,9 @@ typedef struct bake_options {
     double seconds;         /* of pilot and tracing, when photons is 0; 0 = 60 */
     uint64_t pilot_photons; /* 0 = a twentieth of the bake, within 20,000 and 400,000 */
     uint64_t seed;
+    bool effects_chosen;    /* simulate `effects` (bits of bake_effect) as far as the model has them, instead of what a plan says */
+    uint32_t effects;
+    double effects_error;              /* of the plan; 0: BAKE_PLAN_ERROR */
     unsigned threads;                  /* 0 = all cores */
     double flux_lm;                    /* > 0: the lamp's sources emit so many lumens */
     double output_flux_lm;             /* > 0: so many lumens leave the luminaire; excludes flux_lm */
@@ -53,9 +57,9 @@ typedef struct bake_report {
     double lumens_per_photon;
     uint64_t pilot_photons;
     uint64_t refused; /* rays that the accumulator refused; counted as lost in the ledger */
-    double pilot_seconds, trace_seconds, reconstruct_seconds;
+    double plan_seconds, pilot_seconds, trace_seconds, reconstruct_seconds;
     double noise;     /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */
-    uint32_t effects; /* bake_effects_of */
+    bake_plan plan;   /* of effects; plan.simulated are those of the box */
     char layout_why[1024];
     bool interrupted;
     bool resumed;      /* photons of an earlier run are among these */
@@ -73,6 +77,7 @@ lmg_result bake_ray_list_create(size_t capacity, bake_ray_list **out, lmg_error 
 void bake_ray_list_destroy(bake_ray_list *list);
 lmg_sink bake_ray_list_sink(bake_ray_list *list);
 const lmg_ray *bake_ray_list_sorted(bake_ray_list *list, size_t *count);
+const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count); /* for sums of integers */
 
 /* Pilot photons are numbered from here on, apart from those of the bake. */
 #define BAKE_PILOT_FIRST (UINT64_C(1) << 62)

@@ -32,6 +32,8 @@ enum {
     KEY_CELLS,
     KEY_RESOLUTION,
     KEY_PILOT,
+    KEY_EFFECTS,
+    KEY_EFFECTS_ERROR,
     KEY_RESUME,
     KEY_CHECKPOINT,
     KEY_KEEP,
@@ -54,6 +56,8 @@ static const struct argp_option OPTIONS[] = {
     {"cells", KEY_CELLS, "N", 0, "size of the light field in cells (default 4e6)", 4},
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 4},
     {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
+    {"effects", KEY_EFFECTS, "LIST", 0, "auto (as lumibake plan says), all, or effects to simulate", 4},
+    {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving effects out may change (default 0.1%)", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
     {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},
@@ -117,6 +121,15 @@ static void settle_photons(struct argp_state *state, command *c)
     o->keep |= c->shares || c->given_first;
 }
 
+static void argument_effects(struct argp_state *state, const char *text, bake_options *o)
+{
+    lmg_error err = {{0}};
+    o->effects_chosen = strcmp(text, "auto") != 0;
+    o->effects = UINT32_MAX;
+    if (o->effects_chosen && strcmp(text, "all") != 0 && bake_effects_parse(text, &o->effects, &err) != LMG_OK)
+        usage_error(state, "--effects: %s", err.message);
+}
+
 static error_t parse(int key, char *arg, struct argp_state *state)
 {
     command *c = state->input;
@@ -158,6 +171,12 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_PILOT:
         c->bake.pilot_photons = argument_count(state, "--pilot", arg, 1, 100000000);
+        break;
+    case KEY_EFFECTS:
+        argument_effects(state, arg, &c->bake);
+        break;
+    case KEY_EFFECTS_ERROR:
+        c->bake.effects_error = argument_share(state, "--effects-error", arg);
         break;
     case KEY_SEED:
         c->bake.seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
@@ -254,6 +273,8 @@ static char *settings_text(const command *c)
             json_array_append_new(r, json_integer(f->resolution[i]));
         json_object_set_new(o, "resolution", r);
     }
+    if (c->bake.effects_error > 0)
+        json_object_set_new(o, "effects_error", json_real(c->bake.effects_error));
     if (c->bake.flux_lm > 0)
         json_object_set_new(o, "flux_lm", json_real(c->bake.flux_lm));
     if (c->bake.output_flux_lm > 0)
@@ -274,7 +295,7 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     const lmg_ledger l = lmg_field_ledger(field);
     const lmg_layout *y = lmg_field_layout(field);
     char effects[512];
-    bake_effects_print(r->effects, effects, sizeof(effects));
+    bake_effects_print(r->plan.simulated, effects, sizeof(effects));
     json_t *warnings = json_array();
     for (uint32_t i = 0; i < model->warning_count; ++i)
         json_array_append_new(warnings, json_string(model->warnings[i]));
@@ -296,6 +317,7 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     json_object_set_new(o, "efficiency", json_number((l.stored + l.residual) / l.emitted));
     json_object_set_new(o, "noise", json_number(r->noise));
     json_object_set_new(o, "effects", json_string(effects));
+    json_object_set_new(o, "effect_plan", json_plan(&r->plan));
     json_object_set_new(o, "slabs", json_integer(y->slab_count));
     json_object_set_new(o, "channels", json_integer(y->channels));
     json_object_set_new(o, "size_m", json_number(y->size));
@@ -303,7 +325,7 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     json_object_set_new(o, "photons_per_second", json_number((double)l.photons / trace));
     json_object_set_new(o, "segments_per_second", json_number((double)r->tally.segments / trace));
     json_object_set_new(o, "seconds",
-                        json_pack("{s:f, s:f, s:f, s:f}", "pilot", r->pilot_seconds, "trace", r->trace_seconds, "reconstruct",
+                        json_pack("{s:f, s:f, s:f, s:f, s:f}", "plan", r->plan_seconds, "pilot", r->pilot_seconds, "trace", r->trace_seconds, "reconstruct",
                                   r->reconstruct_seconds, "total", seconds));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "interrupted", json_boolean(r->interrupted));
@@ -320,9 +342,14 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     const double n = (double)l.photons;
     const double out = l.stored + l.residual, share = out / l.emitted;
     char effects[512];
-    bake_effects_print(r->effects, effects, sizeof(effects));
+    bake_effects_print(r->plan.simulated, effects, sizeof(effects));
     printf("%s\n", c->output);
     printf("  effects   %s\n", effects);
+    const uint32_t left_out = r->plan.contained & ~r->plan.simulated;
+    if (left_out) {
+        bake_effects_print(left_out, effects, sizeof(effects));
+        printf("            left out: %s (lumibake plan says why)\n", effects);
+    }
     printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n",
            l.photons, r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
     print_ledger(&l);
@@ -338,7 +365,8 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
             printf("            %.*s\n", (int)length, line);
         line += length + (line[length] == '\n');
     }
-    printf("  file      %.1f MB; %.1f s in all (pilot %.1f s)\n", 1e-6 * (double)bytes, seconds, r->pilot_seconds);
+    printf("  file      %.1f MB; %.1f s in all (plan %.1f s, pilot %.1f s)\n", 1e-6 * (double)bytes, seconds, r->plan_seconds,
+           r->pilot_seconds);
 }
 
 /* What the ledger gives reason to warn of. */

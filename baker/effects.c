@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The effects in a model: read off its materials and lights. */
+/* The effects in a model, read off its materials and lights, and models with fewer of them. */
 #include "effects.h"
 
 #include <luminaires/model.h>
@@ -7,6 +7,7 @@
 
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 static const char *const NAMES[BAKE_EFFECT_COUNT] = {
     [BAKE_EMISSION_AREA] = "area-emission",
@@ -28,6 +29,10 @@ static const char *const NAMES[BAKE_EFFECT_COUNT] = {
     [BAKE_COVERAGE] = "coverage",
     [BAKE_TEXTURES] = "textures",
     [BAKE_NORMAL_MAPS] = "normal-maps",
+    [BAKE_DISPERSION] = "dispersion",
+    [BAKE_SPECTRA] = "spectra",
+    [BAKE_FLUORESCENCE] = "fluorescence",
+    [BAKE_POLARIZATION] = "polarization",
 };
 
 const char *bake_effect_name(bake_effect effect)
@@ -40,7 +45,7 @@ static uint32_t bit(bake_effect effect)
     return 1u << effect;
 }
 
-static uint32_t effects_of_material(const lum_material *m)
+uint32_t bake_effects_of_material(const lum_material *m)
 {
     uint32_t e = 0;
     if (m->emissive[0] != 0 || m->emissive[1] != 0 || m->emissive[2] != 0)
@@ -49,9 +54,18 @@ static uint32_t effects_of_material(const lum_material *m)
         return e;
     if (m->alpha_mode != LUM_ALPHA_OPAQUE)
         e |= bit(BAKE_COVERAGE);
+    const lum_spectral *spectral = &m->spectral;
+    if (spectral->index)
+        e |= bit(BAKE_DISPERSION);
+    if (spectral->reflectance || spectral->transmittance || spectral->absorption || (spectral->eta && spectral->k))
+        e |= bit(BAKE_SPECTRA);
+    if (spectral->converted)
+        e |= bit(BAKE_FLUORESCENCE);
     if (m->kind == LUM_SURFACE_LAMBERT)
         return e | bit(BAKE_DIFFUSE);
 
+    if (m->kind == LUM_SURFACE_PBR || m->has_eta)
+        e |= bit(BAKE_POLARIZATION);
     const bool smooth = m->roughness * m->roughness < LUM_SMOOTH;
     if (m->normal_texture.image != LUM_NONE)
         e |= bit(BAKE_NORMAL_MAPS);
@@ -82,13 +96,13 @@ static uint32_t effects_of_material(const lum_material *m)
     return e;
 }
 
-uint32_t bake_effects_of(const struct lum_model *model)
+uint32_t bake_effects_of(const lum_model *model)
 {
     uint32_t e = 0;
     for (uint32_t i = 0; i < model->part_count; ++i) {
         const int32_t m = model->parts[i].material;
         if (model->parts[i].triangle_count > 0 && m >= 0 && (uint32_t)m < model->material_count)
-            e |= effects_of_material(&model->materials[m]);
+            e |= bake_effects_of_material(&model->materials[m]);
     }
     if (model->volume_count > 0)
         e |= bit(BAKE_VOLUMES);
@@ -99,6 +113,179 @@ uint32_t bake_effects_of(const struct lum_model *model)
             e |= bit(BAKE_EMISSION_SPOT);
     }
     return e;
+}
+
+lmg_result bake_effects_parse(const char *text, uint32_t *effects, lmg_error *err)
+{
+    *effects = 0;
+    const char *at = text;
+    while (*at) {
+        at += strspn(at, ", ");
+        const size_t length = strcspn(at, ", ");
+        int i = 0;
+        while (i < BAKE_EFFECT_COUNT && !(strlen(NAMES[i]) == length && !strncmp(NAMES[i], at, length)))
+            ++i;
+        if (length > 0 && i == BAKE_EFFECT_COUNT) {
+            char all[512];
+            bake_effects_print((1u << BAKE_EFFECT_COUNT) - 1, all, sizeof(all));
+            return lmg_fail(err, LMG_ERROR_ARGUMENT, "'%.*s' is no effect; there are auto, all, or some of: %s", (int)(length < 64 ? length : 64),
+                            at, all);
+        }
+        if (length > 0)
+            *effects |= bit((bake_effect)i);
+        at += length;
+    }
+    return LMG_OK;
+}
+
+/* -------------------------------------------------------------------------------------------------------- leaving out */
+
+const char *bake_effect_stand_in(bake_effect effect)
+{
+    switch (effect) {
+    case BAKE_CONDUCTOR_ROUGH:
+        return "smooth metal";
+    case BAKE_COAT:
+        return "Lambertian, no coat";
+    case BAKE_GLASS_THIN:
+    case BAKE_GLASS_SMOOTH:
+        return "nothing there: light passes";
+    case BAKE_GLASS_ROUGH:
+        return "smooth glass";
+    case BAKE_ABSORPTION:
+        return "clear glass";
+    case BAKE_DIFFUSE_TRANSMISSION:
+        return "opaque";
+    case BAKE_COVERAGE:
+        return "nothing cut out";
+    case BAKE_TEXTURES:
+        return "untextured, mean values";
+    case BAKE_NORMAL_MAPS:
+        return "smooth normals";
+    case BAKE_MEDIUM:
+    case BAKE_VOLUMES:
+        return "clear, nothing scattered";
+    case BAKE_DISPERSION:
+        return "the index of the d line";
+    case BAKE_SPECTRA:
+        return "R,G,B";
+    case BAKE_FLUORESCENCE:
+        return "nothing converted";
+    case BAKE_POLARIZATION:
+        return "unpolarized at each surface";
+    default:
+        return NULL;
+    }
+}
+
+static bool textured(const lum_texture *t)
+{
+    return t->image != LUM_NONE;
+}
+
+static void mean_texel(const lum_model *model, const lum_texture *texture, float mean[4])
+{
+    const lum_image *image = &model->images[texture->image];
+    const size_t count = (size_t)image->width * image->height;
+    double sum[4] = {0};
+    for (size_t i = 0; i < count; ++i)
+        for (int c = 0; c < 4; ++c)
+            sum[c] += (double)image->texels[4 * i + (size_t)c];
+    for (int c = 0; c < 4; ++c)
+        mean[c] = count ? (float)(sum[c] / (double)count) : 1;
+}
+
+/* Textures' mean values in their place. */
+static void flatten_textures(const lum_model *model, lum_material *m)
+{
+    float mean[4];
+    if (textured(&m->base_texture)) {
+        mean_texel(model, &m->base_texture, mean);
+        for (int c = 0; c < 4; ++c)
+            m->base_color[c] *= mean[c];
+        m->base_texture.image = LUM_NONE;
+    }
+    if (textured(&m->metal_rough_texture)) {
+        mean_texel(model, &m->metal_rough_texture, mean);
+        m->roughness *= mean[1];
+        m->metallic *= mean[2];
+        m->metal_rough_texture.image = LUM_NONE;
+    }
+    if (textured(&m->transmission_texture)) {
+        mean_texel(model, &m->transmission_texture, mean);
+        m->transmission *= mean[0];
+        m->transmission_texture.image = LUM_NONE;
+    }
+}
+
+static bool is_rough(const lum_material *m)
+{
+    return m->roughness * m->roughness >= LUM_SMOOTH;
+}
+
+static void strip_material(const lum_model *model, uint32_t drop, lum_material *m)
+{
+    const uint32_t has = bake_effects_of_material(m);
+    if (drop & bit(BAKE_COVERAGE))
+        m->alpha_mode = LUM_ALPHA_OPAQUE;
+    if (drop & bit(BAKE_NORMAL_MAPS))
+        m->normal_texture.image = LUM_NONE;
+    if (drop & bit(BAKE_TEXTURES))
+        flatten_textures(model, m);
+    if (drop & bit(BAKE_ABSORPTION))
+        m->absorption[0] = m->absorption[1] = m->absorption[2] = 0;
+    if (drop & bit(BAKE_MEDIUM))
+        m->scattering[0] = m->scattering[1] = m->scattering[2] = 0;
+    lum_spectral *spectral = &m->spectral;
+    if (drop & bit(BAKE_DISPERSION))
+        spectral->index = NULL;
+    if (drop & bit(BAKE_SPECTRA))
+        spectral->reflectance = spectral->transmittance = spectral->absorption = spectral->eta = spectral->k = NULL;
+    if (drop & bit(BAKE_FLUORESCENCE))
+        spectral->converted = spectral->excitation = NULL;
+    if (drop & bit(BAKE_DIFFUSE_TRANSMISSION))
+        m->diffuse_transmission = 0;
+    if ((drop & has & bit(BAKE_GLASS_ROUGH)) || (is_rough(m) && drop & has & bit(BAKE_CONDUCTOR_ROUGH)))
+        m->roughness = 0;
+    /* glass-rough without its roughness is glass-smooth, and goes with it */
+    const bool glass = has & (bit(BAKE_GLASS_THIN) | bit(BAKE_GLASS_SMOOTH) | bit(BAKE_GLASS_ROUGH));
+    const bool gone = m->thin ? drop & bit(BAKE_GLASS_THIN) : drop & bit(BAKE_GLASS_SMOOTH) && (drop & bit(BAKE_GLASS_ROUGH) || !is_rough(m));
+    if (glass && gone && m->metallic == 0) {
+        /* the coated share of a part-glass stays, as a surface that light meets that often */
+        m->alpha_mode = LUM_ALPHA_BLEND;
+        m->base_color[3] = 1 - m->transmission;
+        m->transmission = 0;
+    }
+    if (drop & has & bit(BAKE_COAT) && m->metallic == 0 && m->transmission == 0)
+        m->kind = LUM_SURFACE_LAMBERT;
+}
+
+lmg_result bake_effects_strip(const lum_model *model, uint32_t keep, lum_model **out, lmg_error *err)
+{
+    *out = malloc(sizeof(**out));
+    lum_material *materials = malloc((model->material_count ? model->material_count : 1) * sizeof(*materials));
+    if (!*out || !materials) {
+        free(*out);
+        free(materials);
+        *out = NULL;
+        return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for %u materials", model->material_count);
+    }
+    **out = *model;
+    (*out)->materials = materials;
+    if (!(keep & bit(BAKE_VOLUMES)))
+        (*out)->volume_count = 0;
+    for (uint32_t i = 0; i < model->material_count; ++i) {
+        materials[i] = model->materials[i];
+        strip_material(model, ~keep, &materials[i]);
+    }
+    return LMG_OK;
+}
+
+void bake_effects_free(lum_model *stripped)
+{
+    if (stripped)
+        free(stripped->materials);
+    free(stripped);
 }
 
 void bake_effects_print(uint32_t effects, char *text, size_t size)

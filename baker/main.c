@@ -13,6 +13,7 @@ static const struct {
     int (*run)(int argc, char **argv);
 } COMMANDS[] = {
     {"bake", "trace a luminaire's light (glTF) into a box of light (.box.exr)", cmd_bake},
+    {"plan", "which effects of light a luminaire shows, which a bake simulates, and why", cmd_plan},
     {"info", "say what is in a box: layout, planes, flux, provenance", cmd_info},
     {"probe", "measure in a box's light: illuminance, luminance, intensity", cmd_probe},
     {"merge", "parts of one bake, from several runs or machines, into its box", cmd_merge},

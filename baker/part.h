@@ -23,8 +23,9 @@ typedef enum bake_part_text {
     PART_MODEL_HASH,
     PART_SEED,
     PART_PILOT_PHOTONS,
-    PART_EFFECTS,
-    PART_LAST_SHARED = PART_EFFECTS,
+    PART_EFFECTS, /* simulated */
+    PART_PLAN,    /* bake_plan_text */
+    PART_LAST_SHARED = PART_PLAN,
     PART_MODEL,
     PART_LAYOUT_WHY,
     PART_WARNINGS, /* NULL = none */

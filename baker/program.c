@@ -111,6 +111,19 @@ double argument_seconds(const struct argp_state *state, const char *option, cons
     return value * unit;
 }
 
+double argument_share(const struct argp_state *state, const char *option, const char *text)
+{
+    char *end;
+    double value = strtod(text, &end);
+    if (end != text && !strcmp(end, "%")) {
+        value /= 100;
+        ++end;
+    }
+    if (end == text || *end || !(value > 0) || !(value < 1))
+        usage_error(state, "%s: '%s' is not a share such as 1%% or 0.01", option, text);
+    return value;
+}
+
 double argument_lumens(const struct argp_state *state, const char *option, const char *text)
 {
     char *end;

@@ -17,6 +17,7 @@ enum { EXIT_DONE = 0, EXIT_FAILED = 1, EXIT_USAGE = 2, EXIT_INPUT = 3, EXIT_DIFF
 /* The commands: argv[0] is "lumibake NAME"; the exit code. */
 int cmd_bake(int argc, char **argv);
 int cmd_info(int argc, char **argv);
+int cmd_plan(int argc, char **argv);
 int cmd_probe(int argc, char **argv);
 int cmd_compare(int argc, char **argv);
 int cmd_study(int argc, char **argv);
@@ -49,6 +50,8 @@ lmg_result check_output(const char *output, const char *const *inputs, size_t co
 /* Prints where the light went: a line each for emitted, stored, residual, absorbed, lost. */
 void print_ledger(const lmg_ledger *ledger);
 
+double argument_share(const struct argp_state *state, const char *option, const char *text);   /* "1%", "0.01": 0 < x < 1 */
+
 /* A lamp with its recipe, as the options --recipe, --no-recipe and --set describe it. */
 typedef struct lamp_options {
     const char *path;
@@ -73,6 +76,10 @@ const volatile sig_atomic_t *catch_interrupts(void);
 
 /* Prints a JSON object with a newline and releases it; false if stdout doesn't take it. */
 bool print_json(json_t *object);
+
+/* The effect plan as an object, without what depends on the machine. */
+struct bake_plan;
+json_t *json_plan(const struct bake_plan *plan);
 
 /* A JSON number; null when it isn't finite. */
 json_t *json_number(double value);

@@ -34,6 +34,10 @@ struct bake_source {
  * light. */
 struct lum_model;
 lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake_source **out, lmg_error *err);
+/* The same with some effects only (bits of bake_effect, effects.h), the others left out; bake_tracer_create simulates all.  like: another
+ * tracer of this model, which must outlive the new one, or NULL; it lends what costs time to build. */
+lmg_result bake_tracer_create_with(const struct lum_model *model, uint32_t effects, uint64_t seed, const bake_source *like,
+                                   bake_source **out, lmg_error *err);
 
 /* Rays emitted by a baked box, borrowed until destroy. */
 lmg_result bake_box_source_create(const lmg_field *field, uint64_t seed, bake_source **out, lmg_error *err);

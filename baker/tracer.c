@@ -72,6 +72,16 @@ static void describe_trap(const lum_model *model, const tracer_trap *trap, char 
     }
 }
 
+static lmg_result fail_trapped(const tracer_job *j, lmg_error *err)
+{
+    char places[320];
+    describe_trap(j->tracer->model, &j->trap, places, sizeof(places));
+    return lmg_fail(err, LMG_ERROR_INPUT,
+                    "%s: light is trapped: %" PRIu32 " of %" PRIu32 " photons met a million surfaces without end, the last ones of %s; a "
+                    "closed shell that absorbs nothing keeps its light for ever: open it, or lower its reflectance",
+                    j->tracer->model->path, j->trap.trapped, j->trap.started, places);
+}
+
 static lmg_result run(bake_source *source, uint64_t first, uint64_t count, unsigned threads, const lmg_sink *sinks,
                       size_t sink_count, bake_tally *tally, lmg_error *err)
 {
@@ -81,14 +91,8 @@ static lmg_result run(bake_source *source, uint64_t first, uint64_t count, unsig
     const lmg_result result = bake_parallel(&work, first, count, threads, err);
     if (result != LMG_OK)
         return result;
-    if (atomic_load(&j.stopped)) {
-        char places[320];
-        describe_trap(t->model, &j.trap, places, sizeof(places));
-        return lmg_fail(err, LMG_ERROR_INPUT,
-                        "%s: light is trapped: %" PRIu32 " of %" PRIu32 " photons met a million surfaces without end, the last ones of %s; a "
-                        "closed shell that absorbs nothing keeps its light for ever: open it, or lower its reflectance",
-                        t->model->path, j.trap.trapped, j.trap.started, places);
-    }
+    if (atomic_load(&j.stopped))
+        return fail_trapped(&j, err);
     tally->photons += (uint64_t)j.counts.photons;
     const double photon = 1.0 / TRACER_UNITS(t->kernel->features); /* a power of two: sums stay exact */
     tally->emitted += (double)j.counts.photons;
@@ -106,8 +110,10 @@ static void destroy(bake_source *source)
     if (!t)
         return;
     lum_volumes_destroy(t->volumes);
-    lum_emitters_destroy(t->emitters);
+    if (!t->borrows_emitters)
+        lum_emitters_destroy(t->emitters);
     lum_scene_destroy(t->scene);
+    bake_effects_free(t->variant);
     free(t->media);
     bake_spectral_destroy(t->spectral);
     free(t);
@@ -169,24 +175,17 @@ static const tracer_kernel *choose_kernel(uint32_t features)
     return tracer_kernels[tracer_kernel_count - 1];
 }
 
-lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake_source **out, lmg_error *err)
+/* Emitters (of the original: what is left out is no source), volumes and intersection structure. */
+static lmg_result build(tracer *t, const lum_model *original, const tracer *like, lmg_error *err)
 {
-    *out = NULL;
-    tracer *t = calloc(1, sizeof(*t));
-    if (!t)
-        return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the photon tracer");
-    t->source.run = run;
-    t->source.destroy = destroy;
-    t->model = model;
-    t->seed = seed;
-    t->media = list_media(model);
-    if (t->media)
-        t->kernel = choose_kernel(needed_features(model, t->media));
-    lmg_result result = t->media ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the photon tracer");
-    if (result == LMG_OK && bake_is_spectral(model))
-        result = bake_spectral_create(model, &t->spectral, err);
-    if (result == LMG_OK)
-        result = lum_emitters_create(model, &t->emitters, err);
+    const lum_model *model = t->model;
+    lmg_result result = LMG_OK;
+    if (like) {
+        t->emitters = like->emitters;
+        t->borrows_emitters = true;
+    } else {
+        result = lum_emitters_create(original, &t->emitters, err);
+    }
     if (result == LMG_OK) {
         t->source.flux = lum_emitters_flux(t->emitters, NULL);
         if (!(t->source.flux > 0) || !isfinite(t->source.flux))
@@ -200,7 +199,42 @@ lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake
     if (result == LMG_OK)
         result = lum_volumes_create(model, &t->volumes, err);
     if (result == LMG_OK)
-        result = lum_scene_create(model, &t->scene, err);
+        result = like ? lum_scene_create_variant(like->scene, model, &t->scene, err) : lum_scene_create(model, &t->scene, err);
+    return result;
+}
+
+lmg_result bake_tracer_create_with(const struct lum_model *model, uint32_t effects, uint64_t seed, const bake_source *like,
+                                   bake_source **out, lmg_error *err)
+{
+    *out = NULL;
+    tracer *t = calloc(1, sizeof(*t));
+    if (!t)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the photon tracer");
+    t->source.run = run;
+    t->source.destroy = destroy;
+    t->model = model;
+    t->seed = seed;
+    lmg_result result = LMG_OK;
+    if ((bake_effects_of(model) & ~effects & ~(1u << BAKE_POLARIZATION)) != 0) {
+        result = bake_effects_strip(model, effects, &t->variant, err);
+        if (result == LMG_OK)
+            t->model = t->variant;
+    }
+    if (result == LMG_OK) {
+        t->media = list_media(t->model);
+        result = t->media ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the photon tracer");
+    }
+    if (result == LMG_OK) {
+        uint32_t features = needed_features(t->model, t->media);
+        if (!(effects & 1u << BAKE_POLARIZATION))
+            features &= ~TRACER_POLARIZATION;
+        t->kernel = choose_kernel(features);
+        if (bake_is_spectral(t->model))
+            result = bake_spectral_create(t->model, &t->spectral, err);
+    }
+    if (result == LMG_OK) {
+        result = build(t, model, (const tracer *)like, err);
+    }
     if (result != LMG_OK) {
         destroy(&t->source);
         return result;
@@ -214,6 +248,52 @@ lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake
     t->source.bounds_max = (lmg_vec3){c.x + hi.x + margin, c.y + hi.y + margin, c.z + hi.z + margin};
     *out = &t->source;
     return LMG_OK;
+}
+
+lmg_result bake_tracer_create(const struct lum_model *model, uint64_t seed, bake_source **out, lmg_error *err)
+{
+    return bake_tracer_create_with(model, UINT32_MAX, seed, NULL, out, err);
+}
+
+lmg_result bake_tracer_survey(const bake_source *source, uint64_t first, uint64_t count, unsigned threads, bake_survey *survey,
+                              lmg_error *err)
+{
+    const tracer *t = (const tracer *)source;
+    const uint32_t materials = t->model->material_count;
+    uint32_t *effects = calloc(materials + 1, sizeof(*effects));
+    _Atomic int64_t *ended = calloc(materials + 1, sizeof(*ended));
+    if (!effects || !ended) {
+        free(effects);
+        free(ended);
+        return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the survey of %" PRIu32 " materials", materials);
+    }
+    for (uint32_t i = 0; i < materials; ++i)
+        effects[i] = bake_effects_of_material(&t->model->materials[i]);
+    tracer_survey notes = {.effects = effects,
+                           .lights = bake_effects_of(t->model) & (1u << BAKE_EMISSION_POINT | 1u << BAKE_EMISSION_SPOT),
+                           .scattering = bake_effects_of(t->model) & (1u << BAKE_MEDIUM | 1u << BAKE_VOLUMES),
+                           .ended = ended};
+    tracer_job j = {.tracer = t, .survey = &notes, .trap_taken = ATOMIC_FLAG_INIT};
+    const tracer_kernel *k = &tracer_kernel_survey;
+    const bake_work work = {.self = &j, .begin = k->begin, .chunk = k->chunk, .end = k->end};
+    lmg_result result = bake_parallel(&work, first, count, threads, err);
+    if (result == LMG_OK && atomic_load(&j.stopped))
+        result = fail_trapped(&j, err);
+    survey->photons += (uint64_t)j.counts.photons;
+    survey->escaped += (uint64_t)(j.counts.escaped / TRACER_UNITS(k->features));
+    survey->segments += (uint64_t)j.counts.segments;
+    for (int i = 0; i < BAKE_EFFECT_COUNT; ++i)
+        survey->met[i] += (uint64_t)atomic_load(&notes.met[i]);
+    for (uint32_t i = 0; survey->ended && i < materials; ++i)
+        survey->ended[i] += (uint64_t)atomic_load(&ended[i]);
+    free(effects);
+    free(ended);
+    return result;
+}
+
+const char *bake_tracer_kernel(const bake_source *source)
+{
+    return ((const tracer *)source)->kernel->name + sizeof("tracer_kernel_") - 1;
 }
 
 const struct lum_scene *bake_tracer_scene(const bake_source *source)

@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What the benchmark asks of the photon tracer beside source.h. */
+/* What the plan and the benchmarks ask of the photon tracer beside source.h. */
 #ifndef BAKER_TRACER_H
 #define BAKER_TRACER_H
 
+#include "effects.h"
 #include "source.h"
 
 struct lum_scene;
@@ -13,5 +14,19 @@ const struct lum_scene *bake_tracer_scene(const bake_source *tracer);
 /* Traces photons first .. first+count-1 on the calling thread without sinks and writes the origin and direction (6 floats) of the
  * first `capacity` ray segments, relative to the model's centre.  Returns the number written. */
 size_t bake_tracer_record(const bake_source *tracer, uint64_t first, uint64_t count, float *rays, size_t capacity);
+
+/* The name of the kernel that runs (tracer_kernels.c). */
+const char *bake_tracer_kernel(const bake_source *tracer);
+
+/* What paths meet: how many of them each effect, and how many end at each material (on its surface, absorbed). */
+typedef struct bake_survey {
+    uint64_t photons, escaped, segments;
+    uint64_t met[BAKE_EFFECT_COUNT];
+    uint64_t *ended; /* per material of the model; the caller's array, added to */
+} bake_survey;
+
+/* Traces photons first .. first+count-1 with all features and notes what they meet, in *survey. */
+lmg_result bake_tracer_survey(const bake_source *tracer, uint64_t first, uint64_t count, unsigned threads, bake_survey *survey,
+                              lmg_error *err);
 
 #endif

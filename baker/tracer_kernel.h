@@ -19,6 +19,7 @@
  * survivors() turns any loss into whole photons; of light by wavelength, survives().  Numbers are drawn where a model needs them, never by feature.
  */
 #include "batch.h"
+#include "effects.h"
 #include "tracer_state.h"
 
 #include <luminaires/rng.h>
@@ -60,6 +61,10 @@ typedef struct path {
 #if KERNEL_FEATURES & TRACER_POLARIZATION
     lum_polarization polarization;
 #endif
+#if KERNEL_FEATURES & TRACER_SURVEY
+    uint32_t met;        /* bits of bake_effect */
+    bool polarized_once; /* polarization matters from the second event on that polarizes */
+#endif
 } path;
 
 /* A path that waits, with its ray. */
@@ -77,6 +82,7 @@ enum { WAVE = 32 };
 
 typedef struct worker {
     tracer_counts counts;
+    tracer_survey *survey;
     tracer_trap trap;
     uint32_t alive; /* paths in the wave: the first ones */
     lmg_vec3 origin[WAVE], direction[WAVE];
@@ -239,6 +245,24 @@ static inline bool meet_phosphor(const tracer *t, worker *w, path *p, const bake
     }
     /* Of a lone wave that stays as it is, survives_loss keeps the luminance. */
     return survives_loss(w, p, all / before, luminance);
+}
+#endif
+
+#if KERNEL_FEATURES & TRACER_SURVEY
+static void note_effects(path *p, uint32_t effects)
+{
+    const uint32_t polarization = 1u << BAKE_POLARIZATION;
+    p->met |= effects & (p->polarized_once ? UINT32_MAX : ~polarization);
+    p->polarized_once |= (effects & polarization) != 0;
+}
+
+static void note_end(const tracer *t, const worker *w, uint32_t i)
+{
+    for (int k = 0; k < BAKE_EFFECT_COUNT; ++k)
+        if (w->path[i].met >> k & 1)
+            atomic_fetch_add_explicit(&w->survey->met[k], 1, memory_order_relaxed);
+    if (w->hit[i].triangle != LUM_MISS)
+        atomic_fetch_add_explicit(&w->survey->ended[t->model->triangle_material[w->hit[i].triangle]], 1, memory_order_relaxed);
 }
 #endif
 
@@ -440,6 +464,9 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
     if (flight.event == LUM_FLIGHT_SCATTERED) {
         *scattered = true;
         w->origin[i] = scattering_place(w->origin[i], w->direction[i], flight.t, hit);
+#if KERNEL_FEATURES & TRACER_SURVEY
+        note_effects(p, w->survey->scattering);
+#endif
         const double xi[2] = {lum_rng_next(&p->rng), lum_rng_next(&p->rng)};
         w->direction[i] = lum_phase_sample(flight.g, w->direction[i], xi);
 #if KERNEL_FEATURES & TRACER_POLARIZATION
@@ -559,6 +586,9 @@ static inline bool interact(const tracer *t, worker *w, uint32_t i)
     lum_surface surface;
     lum_surface_at(t->scene, hit, w->direction[i], &surface);
     const int32_t material = (int32_t)(surface.material - t->model->materials);
+#if KERNEL_FEATURES & TRACER_SURVEY
+    note_effects(&w->path[i], w->survey->effects[material] & ~BAKE_EMISSION_BITS);
+#endif
 #if (KERNEL_FEATURES & TRACER_SOLIDS) && !(KERNEL_FEATURES & TRACER_MEDIA)
     if (!notice_birth_inside(t, &w->path[i], material, surface.front)) {
         w->counts.lost += units_of(&w->path[i]);
@@ -598,6 +628,10 @@ static inline bool start(const tracer *t, worker *w, uint32_t i)
 #endif
 #if KERNEL_FEATURES & TRACER_POLARIZATION
     p->polarization = (lum_polarization){0};
+#endif
+#if KERNEL_FEATURES & TRACER_SURVEY
+    p->met = drawn->material[k] >= 0 ? w->survey->effects[drawn->material[k]] & BAKE_EMISSION_BITS : w->survey->lights;
+    p->polarized_once = false;
 #endif
     for (int c = 0; c < 3; ++c)
         p->colour[c] = drawn->colour[c][k];
@@ -670,9 +704,14 @@ static void follow_alone(const tracer *t, worker *w, uint32_t i)
     }
 }
 
-/* The last path of the wave takes the place of one that ended; its hit may still have to be worked on. */
-static inline void close_gap(worker *w, uint32_t i)
+/* Path i has ended; the last path of the wave, whose hit may still have to be worked on, takes its place. */
+static inline void close_gap(const tracer *t, worker *w, uint32_t i)
 {
+#if KERNEL_FEATURES & TRACER_SURVEY
+    note_end(t, w, i);
+#else
+    (void)t;
+#endif
     const uint32_t last = --w->alive;
     w->origin[i] = w->origin[last];
     w->direction[i] = w->direction[last];
@@ -715,12 +754,12 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
         lum_scene_intersect_many(t->scene, w->alive, w->origin, w->direction, w->hit);
         for (uint32_t i = 0; i < w->alive;) {
             if (!interact(t, w, i)) {
-                close_gap(w, i);
+                close_gap(t, w, i);
             } else if (w->path[i].segments < LONG_SEGMENTS) {
                 ++i;
             } else {
                 follow_alone(t, w, i);
-                close_gap(w, i);
+                close_gap(t, w, i);
                 if (w->trap.trapped > TRAP_COUNT + TRAP_SHARE * next) {
                     if (!atomic_flag_test_and_set(&j->trap_taken)) {
                         w->trap.started = next;
@@ -741,6 +780,7 @@ static void *begin(void *self)
     if (w) {
         memset(&w->counts, 0, sizeof(w->counts));
         w->alive = w->pending_count = 0;
+        w->survey = j->survey;
         w->batch.sinks = j->sinks;
         w->batch.sink_count = j->sink_count;
         w->batch.count = 0;

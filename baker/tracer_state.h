@@ -31,6 +31,7 @@
 #define TRACER_POLARIZATION 16u /* photons carry a polarization from one specular event to the next */
 #define TRACER_MEDIA 32u       /* scattering on the way: inside solids and in volumes; needs TRACER_SOLIDS, TRACER_ABSORPTION */
 #define TRACER_SPECTRAL 64u    /* light by wavelength (spectral.h), where the tracer has the tables for it */
+#define TRACER_SURVEY (1u << 31) /* notes which effects each photon meets, and where it ends: for the plan, not for a bake */
 
 /* What the loop needs of a material, in one cache line per few materials. */
 typedef struct tracer_medium {
@@ -49,8 +50,10 @@ typedef struct tracer_kernel tracer_kernel;
 typedef struct tracer {
     bake_source source; /* first: a bake_source is cast back to its tracer */
     const lum_model *model;
+    lum_model *variant; /* the tracer's own copy of a model with other materials, which `model` points to then; else NULL */
     lum_scene *scene;
     lum_emitters *emitters;
+    bool borrows_emitters; /* another tracer's */
     tracer_medium *media; /* per material */
     lum_volumes *volumes; /* outside of solids; NULL = none */
     bake_spectral *spectral; /* NULL: light of this model has R,G,B */
@@ -70,6 +73,14 @@ typedef struct tracer_trap {
     uint32_t triangle[TRACER_TRAPPED_KEPT];
 } tracer_trap;
 
+/* What a kernel with TRACER_SURVEY notes.  Effects are bits of bake_effect (effects.h). */
+typedef struct tracer_survey {
+    const uint32_t *effects;     /* per material: what light meets there */
+    uint32_t lights, scattering; /* what light of point and spot lights shows, and light scattered in a medium */
+    _Atomic int64_t met[32];     /* paths that met effect k */
+    _Atomic int64_t *ended;      /* per material: paths that ended there */
+} tracer_survey;
+
 /* One call of run: work for bake_parallel. */
 typedef struct tracer_job {
     const tracer *tracer;
@@ -77,6 +88,7 @@ typedef struct tracer_job {
     size_t sink_count;
     float *record; /* for the benchmark, else NULL: segments' origins and directions, 6 floats each */
     size_t record_count, record_capacity;
+    tracer_survey *survey; /* for a kernel with TRACER_SURVEY */
     tracer_counts counts; /* summed up in end */
     atomic_flag trap_taken; /* the first thread that gives up describes the trap */
     atomic_bool stopped;    /* light is trapped: the rest of the work is left */
@@ -92,7 +104,8 @@ struct tracer_kernel {
     void (*end)(void *self, void *state);
 };
 
-/* tracer_kernels.c: all kernels, those with fewer features first; the last has all features. */
+/* tracer_kernels.c: all kernels, those with fewer features first; the last has all features.  Apart from them, the one that surveys. */
+extern const tracer_kernel tracer_kernel_survey;
 extern const tracer_kernel *const tracer_kernels[];
 extern const size_t tracer_kernel_count;
 

@@ -242,21 +242,48 @@ cleanup:
     return result;
 }
 
+lmg_result lum_scene_create_variant(const lum_scene *geometry, const lum_model *model, lum_scene **out, lmg_error *err)
+{
+    *out = NULL;
+    lum_scene *scene = calloc(1, sizeof *scene);
+    if (!scene) {
+        return lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for the scene");
+    }
+    *scene = (lum_scene){.model = model,
+                         .triangles = geometry->triangles,
+                         .normals = geometry->normals,
+                         .device = geometry->device,
+                         .embree = geometry->embree,
+                         .variant = true};
+    lmg_result result = lum_tables_create(model, &scene->tables, err);
+    if (!result) {
+        result = lum_shading_create(scene, err);
+    }
+    if (result) {
+        lum_scene_destroy(scene);
+        return result;
+    }
+    *out = scene;
+    return LMG_OK;
+}
+
 void lum_scene_destroy(lum_scene *scene)
 {
     if (!scene) {
         return;
     }
-    if (scene->embree) {
-        rtcReleaseScene(scene->embree);
-    }
-    if (scene->device) {
-        rtcReleaseDevice(scene->device);
+    if (!scene->variant) {
+        if (scene->embree) {
+            rtcReleaseScene(scene->embree);
+        }
+        if (scene->device) {
+            rtcReleaseDevice(scene->device);
+        }
+        free(scene->normals);
+        free(scene->triangles);
     }
     lum_tables_destroy(&scene->tables);
     free(scene->shading);
-    free(scene->normals);
-    free(scene->triangles);
     free(scene);
 }
 

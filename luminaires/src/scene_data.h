@@ -37,6 +37,7 @@ struct lum_scene {
     lum_shading *shading;   /* per material */
     lum_table_store tables;
     void *device, *embree; /* RTCDevice, RTCScene */
+    bool variant;          /* triangles, normals, device and embree belong to another scene */
 };
 
 /*

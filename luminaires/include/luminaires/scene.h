@@ -15,6 +15,10 @@ typedef struct lum_scene lum_scene;
 lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *err);
 void lum_scene_destroy(lum_scene *scene);
 
+/* A scene of the same triangles with other materials: model is a copy of the model of `geometry` that differs in its materials alone.
+ * Both are borrowed until lum_scene_destroy; what costs time to build is shared. */
+lmg_result lum_scene_create_variant(const lum_scene *geometry, const lum_model *model, lum_scene **out, lmg_error *err);
+
 /* To be called by every thread around its tracing: sets flush-to-zero and denormals-are-zero and masks floating-point traps, which
  * Embree asks for, and gives back what was set before.  Results are the same bits on all threads only if all threads do it. */
 unsigned lum_thread_begin(void);
