@@ -86,6 +86,45 @@
 #define LENS_TUBE_WALL 0.002
 #define LENS_TUBE_REFLECTANCE 0.05
 
+/* ----------------------------------------------------------------------------------------------------------- opal-ball */
+/*
+ * Bulb and shell are concentric, so the far intensity is the same in all directions: efficiency * flux / (4 pi).  The recipe fills the
+ * wall with a medium of scattering 2000/m, absorption 0.5/m, mean cosine 0.8: optical depth 6 across, of which 1.2 counts as
+ * isotropic.  With a lossless medium and bulb all light comes out, whatever the glass reflects.
+ */
+#define BALL_FLUX 1000.0
+#define BALL_RADIUS 0.060
+#define BALL_WALL 0.003
+#define BALL_IOR 1.5
+#define BALL_BULB_RADIUS 0.015
+
+/* ---------------------------------------------------------------------------------------------------------- smoke-lamp */
+/*
+ * Density exp(-r^2 / 2 w^2) at the voxels, linear between them; the recipe's extinction is sigma = 8/m in the middle.  Light that
+ * starts at the bulb's surface and isn't scattered: exp(-sigma integral of the density), for a bulb small against w about
+ * exp(-sigma w sqrt(pi/2)) = 0.4482 for all directions from the middle.
+ */
+#define SMOKE_FLUX 800.0
+#define SMOKE_BULB_RADIUS 0.004
+#define SMOKE_WIDTH 0.080
+#define SMOKE_VOXEL 0.005
+#define SMOKE_REACH 48 /* voxels from the middle: 3 widths */
+
+/* ------------------------------------------------------------------------------------------------------ edge-lit-panel */
+/*
+ * Acrylic, n > sqrt(2): light that enters through an edge can't leave through the large faces but for the grooves, which turn it down.
+ * The opening is the plate's lower face, in y = 0.
+ */
+#define PANEL_FLUX 2000.0
+#define PANEL_SIDE 0.300
+#define PANEL_THICKNESS 0.004
+#define PANEL_IOR 1.49
+#define PANEL_GROOVES 120
+#define PANEL_GROOVE_MIN 0.00010 /* depth at the edges with LEDs */
+#define PANEL_GROOVE_MAX 0.00040 /* ... and in the middle */
+#define PANEL_LED_GAP 0.0005     /* between LEDs and plate, LEDs and tray, and twice above the plate */
+#define PANEL_TRAY 0.95
+
 /* ----------------------------------------------------------------------------------------------------------------- room */
 /* Floor at y = 0, middle of the floor at x = z = 0.  A lamp hangs at ROOM_LAMP_HEIGHT over the middle. */
 #define ROOM_LENGTH 5.0 /* along x */
