@@ -87,6 +87,9 @@ typedef struct worker {
     uint32_t alive; /* paths in the wave: the first ones */
     lmg_vec3 origin[WAVE], direction[WAVE];
     lum_hit hit[WAVE];
+#if KERNEL_FEATURES & TRACER_MEDIA
+    double reach[WAVE]; /* distance drawn for the segment, in a medium inside a solid; negative: none */
+#endif
     path path[WAVE];
     uint32_t pending_count;
     waiting_path pending[MAX_PENDING];
@@ -388,6 +391,32 @@ static inline uint32_t fly(const tracer *t, worker *w, uint32_t i, double length
 }
 
 #if KERNEL_FEATURES & TRACER_MEDIA
+static inline bool is_spectral(const tracer *t)
+{
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    return t->spectral != NULL;
+#else
+    (void)t;
+    return false;
+#endif
+}
+
+/* The luminance in each of a path's colours. */
+static inline void shares(const path *p, double share[3])
+{
+    share[0] = 0.2126 * p->colour[0];
+    share[1] = 0.7152 * p->colour[1];
+    share[2] = 0.0722 * p->colour[2];
+}
+
+/* Light that came out of a solid by a hole must not wander for ever in a medium without end. */
+static bool within_model(const tracer *t, lmg_vec3 p)
+{
+    const lmg_vec3 lo = t->model->bounds_min, hi = t->model->bounds_max;
+    const double e = t->near;
+    return p.x >= lo.x - e && p.y >= lo.y - e && p.z >= lo.z - e && p.x <= hi.x + e && p.y <= hi.y + e && p.z <= hi.z + e;
+}
+
 /*
  * Where a scattering that fell short of a surface by (length - t) puts the photon.  Rounding of the surface's place must not let it
  * through: within the hit's error bound of the surface it is moved along the normal, to where a ray leaving the surface would start.
@@ -441,7 +470,7 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
     *scattered = false;
     if (m ? !m->scatters : !t->volumes)
         return miss ? 1 : fly(t, w, i, length);
-    if (m && miss)
+    if (m && miss && (!(w->reach[i] >= 0 && isfinite(w->reach[i])) || !within_model(t, w->origin[i])))
         return 1; /* out of a solid with a hole: escape() counts it */
     lum_flight flight;
     uint32_t photons;
@@ -451,10 +480,13 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
     } else
 #endif
     {
-        const double share[3] = {0.2126 * p->colour[0], 0.7152 * p->colour[1], 0.0722 * p->colour[2]};
-        if (m)
-            lum_medium_fly(&m->inside, length, share, &p->rng, &flight);
-        else
+        double share[3];
+        shares(p, share);
+        if (m) {
+            if (w->reach[i] < 0) /* it has just turned out to have been born inside */
+                w->reach[i] = lum_medium_draw(&m->inside, share, &p->rng);
+            lum_medium_arrive(&m->inside, w->reach[i], length, share, &p->rng, &flight);
+        } else
             lum_volumes_fly(t->volumes, w->origin[i], w->direction[i], length, share, &p->rng, &flight);
         photons = flight.event == LUM_FLIGHT_ABSORBED ? 0 : survivors(p, flight.factor);
         w->counts.absorbed += units_of(p) * (1 - (int64_t)photons);
@@ -564,7 +596,7 @@ static inline bool interact(const tracer *t, worker *w, uint32_t i)
         const lmg_vec3 d = w->direction[i];
         const bool front = d.x * hit->ng.x + d.y * hit->ng.y + d.z * hit->ng.z < 0;
         if (!notice_birth_inside(t, &w->path[i], t->model->triangle_material[hit->triangle], front)) {
-            ++w->counts.lost;
+            w->counts.lost += units_of(&w->path[i]);
             return false;
         }
     }
@@ -687,11 +719,35 @@ static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t c
         w->order[start_of[bucket[i]]++] = (uint16_t)i;
 }
 
+/* What the rays of `count` paths from `first` on meet.  In a medium the next event is drawn before, and surfaces beyond it aren't
+ * looked for. */
+static inline void find_hits(const tracer *t, worker *w, uint32_t first, uint32_t count)
+{
+#if KERNEL_FEATURES & TRACER_MEDIA
+    double reach[WAVE];
+    for (uint32_t i = first; i < first + count; ++i) {
+        path *p = &w->path[i];
+        const tracer_medium *m = p->nested > 0 ? &t->media[p->inside[p->nested - 1]] : NULL;
+        w->reach[i] = -1;
+        reach[i] = (double)INFINITY;
+        if (!m || !m->scatters || is_spectral(t))
+            continue;
+        double share[3];
+        shares(p, share);
+        w->reach[i] = lum_medium_draw(&m->inside, share, &p->rng);
+        reach[i] = w->reach[i] + t->near;
+    }
+    lum_scene_intersect_within(t->scene, count, w->origin + first, w->direction + first, reach + first, w->hit + first);
+#else
+    lum_scene_intersect_many(t->scene, count, w->origin + first, w->direction + first, w->hit + first);
+#endif
+}
+
 /* Follows a long path to its end, or until it is given up. */
 static void follow_alone(const tracer *t, worker *w, uint32_t i)
 {
     for (;;) {
-        lum_scene_intersect_many(t->scene, 1, &w->origin[i], &w->direction[i], &w->hit[i]);
+        find_hits(t, w, i, 1);
         if (!interact(t, w, i))
             return;
         if (w->path[i].segments == RUNAWAY_SEGMENTS) {
@@ -716,6 +772,9 @@ static inline void close_gap(const tracer *t, worker *w, uint32_t i)
     w->origin[i] = w->origin[last];
     w->direction[i] = w->direction[last];
     w->hit[i] = w->hit[last];
+#if KERNEL_FEATURES & TRACER_MEDIA
+    w->reach[i] = w->reach[last];
+#endif
     w->path[i] = w->path[last];
 }
 
@@ -751,7 +810,7 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
             return;
         if (j->record)
             record(j, w);
-        lum_scene_intersect_many(t->scene, w->alive, w->origin, w->direction, w->hit);
+        find_hits(t, w, 0, w->alive);
         for (uint32_t i = 0; i < w->alive;) {
             if (!interact(t, w, i)) {
                 close_gap(t, w, i);

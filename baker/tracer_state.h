@@ -56,6 +56,7 @@ typedef struct tracer {
     bool borrows_emitters; /* another tracer's */
     tracer_medium *media; /* per material */
     lum_volumes *volumes; /* outside of solids; NULL = none */
+    double near;          /* with media: how far beyond a scattering surfaces are looked for, so that none is passed by rounding */
     bake_spectral *spectral; /* NULL: light of this model has R,G,B */
     const tracer_kernel *kernel;
     uint64_t seed;

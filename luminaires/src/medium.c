@@ -55,14 +55,22 @@ static void colour_chances(const double share[3], double p[3])
         p[c] = a[c] * scale;
 }
 
-static void fly_coloured(const lum_medium *m, double t_max, const double share[3], lum_rng *rng, lum_flight *out)
+double lum_medium_draw(const lum_medium *m, const double share[3], lum_rng *rng)
 {
-    double p[3], e[3], u = lum_rng_next(rng), chance = 0;
+    if (m->grey)
+        return free_path(lum_rng_next(rng), m->majorant);
+    double p[3];
     colour_chances(share, p);
+    const double u = lum_rng_next(rng);
     const int chosen = u < p[0] ? 0 : u < p[0] + p[1] ? 1 : 2;
-    const double t = free_path(lum_rng_next(rng), m->extinction[chosen]);
-    const bool passed = t >= t_max;
-    out->t = passed ? t_max : t;
+    return free_path(lum_rng_next(rng), m->extinction[chosen]);
+}
+
+static void arrive_coloured(const lum_medium *m, const double share[3], lum_rng *rng, lum_flight *out)
+{
+    const bool passed = out->event == LUM_FLIGHT_PASSED;
+    double p[3], e[3], chance = 0;
+    colour_chances(share, p);
     for (int c = 0; c < 3; ++c) {
         /* in INFINITY only what has no extinction passes */
         e[c] = m->extinction[c] > 0 ? exp(-m->extinction[c] * out->t) : 1;
@@ -70,11 +78,10 @@ static void fly_coloured(const lum_medium *m, double t_max, const double share[3
             e[c] *= m->extinction[c];
         chance += p[c] * e[c];
     }
-    /* The chosen colour's own term is at least 2^-53 of p[chosen], so chance is positive. */
+    /* The colour that drew the distance has a term of at least 2^-53 of its share, so chance is positive. */
     if (passed) {
         for (int c = 0; c < 3; ++c)
             out->factor[c] = e[c] / chance;
-        out->event = LUM_FLIGHT_PASSED;
         return;
     }
     double scattered = 0;
@@ -87,22 +94,20 @@ static void fly_coloured(const lum_medium *m, double t_max, const double share[3
         out->factor[c] /= scattered;
 }
 
+void lum_medium_arrive(const lum_medium *m, double drawn, double t_max, const double share[3], lum_rng *rng, lum_flight *out)
+{
+    const bool passed = drawn >= t_max;
+    *out = (lum_flight){.event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED,
+                        .t = passed ? t_max : drawn,
+                        .factor = {1, 1, 1},
+                        .g = m->g};
+    if (!m->grey)
+        arrive_coloured(m, share, rng, out);
+    else if (!passed && m->scattering[0] < m->extinction[0] && lum_rng_next(rng) * m->extinction[0] >= m->scattering[0])
+        out->event = LUM_FLIGHT_ABSORBED;
+}
+
 void lum_medium_fly(const lum_medium *m, double t_max, const double share[3], lum_rng *rng, lum_flight *out)
 {
-    out->g = m->g;
-    if (!m->grey) {
-        fly_coloured(m, t_max, share, rng, out);
-        return;
-    }
-    out->factor[0] = out->factor[1] = out->factor[2] = 1;
-    const double t = free_path(lum_rng_next(rng), m->majorant);
-    if (t >= t_max) {
-        out->event = LUM_FLIGHT_PASSED;
-        out->t = t_max;
-        return;
-    }
-    out->t = t;
-    out->event = LUM_FLIGHT_SCATTERED;
-    if (m->scattering[0] < m->extinction[0] && lum_rng_next(rng) * m->extinction[0] >= m->scattering[0])
-        out->event = LUM_FLIGHT_ABSORBED;
+    lum_medium_arrive(m, lum_medium_draw(m, share, rng), t_max, share, rng, out);
 }

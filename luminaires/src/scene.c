@@ -405,11 +405,13 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
     return trace(scene, origin, direction, 0, INFINITY, &rayhit) && settle(scene, origin, direction, &rayhit, hit);
 }
 
-void lum_scene_intersect_many(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions, lum_hit *hits)
+/* reach: NULL = no end. */
+static inline void intersect_all(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions,
+                                 const double *reach, lum_hit *hits)
 {
     struct RTCRayHit rayhits[LUM_MAX_RAYS];
     for (size_t i = 0; i < count; i++) {
-        if (trace(scene, origins[i], directions[i], 0, INFINITY, &rayhits[i])) {
+        if (trace(scene, origins[i], directions[i], 0, reach ? nextafterf((float)reach[i], INFINITY) : INFINITY, &rayhits[i])) {
             __builtin_prefetch(&scene->triangles[rayhits[i].hit.primID]);
             if (scene->normals) {
                 __builtin_prefetch(scene->normals[rayhits[i].hit.primID]);
@@ -421,6 +423,17 @@ void lum_scene_intersect_many(const lum_scene *scene, size_t count, const lmg_ve
             hits[i].triangle = LUM_MISS;
         }
     }
+}
+
+void lum_scene_intersect_many(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions, lum_hit *hits)
+{
+    intersect_all(scene, count, origins, directions, NULL, hits);
+}
+
+void lum_scene_intersect_within(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions,
+                                const double *reach, lum_hit *hits)
+{
+    intersect_all(scene, count, origins, directions, reach, hits);
 }
 
 /* Any-hit queries can't be checked in double triangle by triangle, and Embree's distances are off by the rounding of its input over

@@ -63,7 +63,11 @@ typedef struct lum_flight {
     double g;         /* of the medium that scattered */
 } lum_flight;
 
-/* share: luminance in each colour, adding up to 1; t_max >= 0, may be INFINITY.  Uses one to three numbers of rng. */
+/* share: luminance in each colour, adding up to 1; t_max >= 0, may be INFINITY.  Uses one to three numbers of rng.  The same in two
+ * steps, for tracers that look for surfaces no further than the light goes: lum_medium_draw gives the distance of the next event
+ * (INFINITY: none), lum_medium_arrive says what that means when the way ends at t_max. */
+double lum_medium_draw(const lum_medium *medium, const double share[3], lum_rng *rng);
+void lum_medium_arrive(const lum_medium *medium, double drawn, double t_max, const double share[3], lum_rng *rng, lum_flight *out);
 void lum_medium_fly(const lum_medium *medium, double t_max, const double share[3], lum_rng *rng, lum_flight *out);
 
 /* --------------------------------------------------------------------------------------------- lattices of density */

@@ -43,6 +43,10 @@ enum { LUM_MAX_RAYS = 64 };
 #define LUM_MISS UINT32_MAX
 void lum_scene_intersect_many(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions, lum_hit *hits);
 
+/* The same for rays of which only the part up to reach[i] (may be INFINITY) is of interest: closest hits beyond it may be missed. */
+void lum_scene_intersect_within(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions,
+                                const double *reach, lum_hit *hits);
+
 /* Whether something lies on the segment origin + t direction, 0 < t < distance.  Ignores alpha: see lum_scene_transmittance users.
  */
 bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance);
