@@ -34,7 +34,7 @@ bool bake_is_spectral(const lum_model *model)
         const lum_spectral *s = &m->spectral;
         if (spreads(m) || s->converted || s->reflectance || s->transmittance || s->absorption)
             return true;
-        emission |= s->emission != NULL;
+        emission |= s->emission && s->measured;
         metal |= s->eta && s->k;
     }
     /* A metal by name is spectral where a light is. */
@@ -366,9 +366,10 @@ void bake_waves_absorbed(const bake_spectral *spectral, int32_t material, const 
     }
 }
 
-bool bake_waves_fly(const bake_spectral *spectral, const lum_medium *medium, double length, lum_rng *rng, const bake_waves *waves,
+bool bake_waves_fly(const bake_spectral *spectral, int32_t material, const lum_medium *medium, double length, lum_rng *rng, const bake_waves *waves,
                     float share[BAKE_WAVES], double *t)
 {
+    const lum_spectrum *absorption = spectral->materials[material].absorption;
     double scattering[BAKE_WAVES], extinction[BAKE_WAVES], chance[BAKE_WAVES], all = 0;
     for (uint32_t i = 0; i < waves->count; ++i) {
         scattering[i] = extinction[i] = 0;
@@ -377,6 +378,8 @@ bool bake_waves_fly(const bake_spectral *spectral, const lum_medium *medium, dou
             scattering[i] += b * medium->scattering[c];
             extinction[i] += b * medium->extinction[c];
         }
+        if (absorption)
+            extinction[i] = scattering[i] + lum_spectrum_at(absorption, (double)waves->nm[i]);
         chance[i] = (double)waves->share[i] * (double)waves->importance[i];
         all += chance[i];
     }

@@ -108,11 +108,11 @@ void bake_waves_absorbed(const bake_spectral *spectral, int32_t material, const 
                          const bake_waves *waves, float share[BAKE_WAVES]);
 
 /*
- * A flight of the waves through a homogeneous medium whose coefficients in R,G,B stand for spectra: passes `length` or ends in a
+ * A flight of the waves through a homogeneous medium inside a solid, whose coefficients in R,G,B stand for spectra: passes `length` or ends in a
  * collision at *t.  Distances are drawn for the mixture of the waves, in proportion to importance; share: what that leaves of each
  * wave, on average over the flights exactly the medium's (the balance heuristic, as lum_medium_fly has it).  Returns whether it passed.
  */
-bool bake_waves_fly(const bake_spectral *spectral, const lum_medium *medium, double length, lum_rng *rng, const bake_waves *waves,
+bool bake_waves_fly(const bake_spectral *spectral, int32_t material, const lum_medium *medium, double length, lum_rng *rng, const bake_waves *waves,
                     float share[BAKE_WAVES], double *t);
 
 /* For flights that are drawn in R,G,B (lum_volumes_fly): the waves' importance as shares of the three colours, adding up to 1; and

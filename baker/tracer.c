@@ -131,6 +131,7 @@ static tracer_medium *list_media(const lum_model *model)
             media[i].absorption[c] = (double)m->absorption[c];
             media[i].absorbs |= media[i].solid && m->absorption[c] > 0;
         }
+        media[i].absorbs |= media[i].solid && m->spectral.absorption;
         lum_medium_set(&media[i].inside, m->scattering, m->absorption, m->anisotropy);
         media[i].scatters = media[i].solid && media[i].inside.scatters;
     }

@@ -441,7 +441,8 @@ static inline uint32_t fly_waves(const tracer *t, worker *w, uint32_t i, const t
     path *p = &w->path[i];
     float share[BAKE_WAVES];
     if (m) {
-        const bool passed = bake_waves_fly(t->spectral, &m->inside, length, &p->rng, &p->waves, share, &flight->t);
+        const bool passed = bake_waves_fly(t->spectral, p->inside[p->nested - 1], &m->inside, length, &p->rng,
+                                           &p->waves, share, &flight->t);
         flight->event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED;
         flight->g = m->inside.g;
     } else {

@@ -2,38 +2,16 @@
 /* Colours of glowing bodies and optical constants of metals (colour.h). */
 #include "colour.h"
 
+#include <luminaires/spectrum.h>
+
 #include <stddef.h>
 #include <string.h>
 
-/*
- * Chromaticity of the Planckian locus in the CIE 1960 (u,v) diagram by the rational approximation of M. Krystek, "An algorithm to
- * calculate correlated colour temperature", Color Research and Application 10 (1985) 38-40: within 8e-5 in u and 9e-5 in v of the
- * exact locus from 1000 to 15000 K.  Below about 1900 K it leaves the gamut of Rec.709 (negative blue): the light is then mixed
- * with as little white of the same luminance as brings blue to zero, because light fields hold no negative light.
- */
 void lum_planckian(double kelvin, double rgb[3])
 {
-    double t = kelvin;
-    double u = (0.860117757 + 1.54118254e-4 * t + 1.28641212e-7 * t * t) / (1 + 8.42420235e-4 * t + 7.08145163e-7 * t * t);
-    double v = (0.317398726 + 4.22806245e-5 * t + 4.20481691e-8 * t * t) / (1 - 2.89741816e-5 * t + 1.61456053e-7 * t * t);
-    double d = 2 * u - 8 * v + 4, x = 3 * u / d, y = 2 * v / d;
-    double X = x / y, Z = (1 - x - y) / y;
-    /* XYZ to linear Rec.709, D65 white (IEC 61966-2-1). */
-    rgb[0] = 3.2406 * X - 1.5372 - 0.4986 * Z;
-    rgb[1] = -0.9689 * X + 1.8758 + 0.0415 * Z;
-    rgb[2] = 0.0557 * X - 0.2040 + 1.0570 * Z;
-    double least = rgb[0] < rgb[1] ? rgb[0] : rgb[1];
-    least = least < rgb[2] ? least : rgb[2];
-    double keep = least < 0 ? 1 / (1 - least) : 1; /* keep * least + (1 - keep) * 1 = 0 */
-    double luminance = 0;
-    const double weights[3] = {0.2126, 0.7152, 0.0722};
-    for (int i = 0; i < 3; i++) {
-        rgb[i] = keep * rgb[i] + (1 - keep);
-        rgb[i] = rgb[i] > 0 ? rgb[i] : 0; /* rounding */
-        luminance += weights[i] * rgb[i];
-    }
-    for (int i = 0; i < 3; i++)
-        rgb[i] /= luminance;
+    lum_spectrum s;
+    lum_spectrum_blackbody(kelvin, &s);
+    lum_spectrum_rgb(&s, rgb);
 }
 
 /*

@@ -7,9 +7,10 @@
 
 /* Range of lum_planckian, kelvin. */
 #define LUM_KELVIN_MIN 1000.0
-#define LUM_KELVIN_MAX 15000.0
+#define LUM_KELVIN_MAX 25000.0
 
-/* Linear Rec.709 R,G,B of luminance 1 with the chromaticity of a black body, LUM_KELVIN_MIN..LUM_KELVIN_MAX. */
+/* Linear Rec.709 R,G,B of luminance 1 of a black body, LUM_KELVIN_MIN..LUM_KELVIN_MAX.  Below about 1900 K it is outside the gamut: blue is
+ * negative. */
 void lum_planckian(double kelvin, double rgb[3]);
 
 /* Complex index eta - i k of a metal at 610, 550 and 465 nm; false for a name it doesn't know. */

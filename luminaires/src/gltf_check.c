@@ -115,6 +115,7 @@ static const rule texture_use_rules[] = {INDEX("index", true, "textures"), INTEG
 
 static const rule emissive_strength_rules[] = {NUMBER("emissiveStrength", POSITIVE), END};
 static const rule ior_rules[] = {NUMBER("ior", POSITIVE), END};
+static const rule dispersion_rules[] = {NUMBER("dispersion", POSITIVE), END};
 static const rule transmission_rules[] = {NUMBER("transmissionFactor", FRACTION),
                                           OBJECT("transmissionTexture", false, texture_use_rules), END};
 static const rule volume_rules[] = {NUMBER("thicknessFactor", POSITIVE), OBJECT("thicknessTexture", false, texture_use_rules),
@@ -125,6 +126,7 @@ static const rule diffuse_transmission_rules[] = {NUMBER("diffuseTransmissionFac
                                                   OBJECT("diffuseTransmissionColorTexture", false, texture_use_rules), END};
 static const rule material_extensions[] = {OBJECT("KHR_materials_emissive_strength", false, emissive_strength_rules),
                                            OBJECT("KHR_materials_ior", false, ior_rules),
+                                           OBJECT("KHR_materials_dispersion", false, dispersion_rules),
                                            OBJECT("KHR_materials_transmission", false, transmission_rules),
                                            OBJECT("KHR_materials_volume", false, volume_rules),
                                            OBJECT("KHR_materials_diffuse_transmission", false, diffuse_transmission_rules),
@@ -256,7 +258,7 @@ static const char *const understood[] = {"KHR_texture_transform",  "KHR_material
                                          "KHR_materials_volume",   "KHR_materials_diffuse_transmission",
                                          "KHR_materials_unlit",    "KHR_lights_punctual",
                                          "KHR_mesh_quantization",  "KHR_materials_variants",
-                                         "EXT_mesh_gpu_instancing"};
+                                         "EXT_mesh_gpu_instancing", "KHR_materials_dispersion"};
 
 typedef struct walk {
     const json_t *root;

@@ -139,6 +139,8 @@ gltf_material material(const tinygltf::Material &from)
     e = extension(from.extensions, "KHR_materials_ior");
     to.has_ior = e != nullptr;
     to.ior = e ? number(*e, "ior", 1.5) : 1.5;
+    e = extension(from.extensions, "KHR_materials_dispersion");
+    to.dispersion = e ? number(*e, "dispersion", 0) : 0;
     e = extension(from.extensions, "KHR_materials_transmission");
     to.transmission = e ? number(*e, "transmissionFactor", 0) : 0;
     to.transmission_texture = texture_use(e, "transmissionTexture");

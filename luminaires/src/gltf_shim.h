@@ -59,6 +59,7 @@ typedef struct gltf_material {
     bool double_sided, unlit;
     double ior;
     bool has_ior;
+    double dispersion; /* 20 / Abbe number; 0 = none */
     double transmission;
     gltf_texture_use transmission_texture;
     bool has_volume;

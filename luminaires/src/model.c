@@ -47,6 +47,18 @@ lmg_result lum_grow(void **array, size_t size, size_t needed, lmg_error *err)
     return LMG_OK;
 }
 
+lmg_result lum_add_spectrum(lum_build *b, const lum_spectrum *s, const lum_spectrum **out)
+{
+    LUM_TRY(lum_grow((void **)&b->model->spectra, sizeof *b->model->spectra, b->model->spectrum_count + 1u, b->err));
+    lum_spectrum *copy = malloc(sizeof *copy);
+    if (!copy)
+        return lmg_fail(b->err, LMG_ERROR_MEMORY, "out of memory");
+    *copy = *s;
+    b->model->spectra[b->model->spectrum_count++] = copy;
+    *out = copy;
+    return LMG_OK;
+}
+
 static void warn_ignored(lum_build *b)
 {
     const gltf_ignored *ignored = &b->file->ignored;

@@ -45,6 +45,9 @@ void lum_warn(lum_build *b, const char *format, ...)
 /* Grows *array (elements of `size` bytes) to hold at least `needed`; doubles the capacity. */
 lmg_result lum_grow(void **array, size_t size, size_t needed, lmg_error *err);
 
+/* Copies a spectrum into the model. */
+lmg_result lum_add_spectrum(lum_build *b, const lum_spectrum *s, const lum_spectrum **out);
+
 /* model_nodes.c: walks the scene; parts, lights and cameras in the file's frame (lights and positions in b->positions not yet
  * centred). */
 lmg_result lum_build_scene(lum_build *b);

@@ -155,6 +155,16 @@ static lmg_result convert(lum_build *b, const gltf_material *from, uint32_t inde
         return lmg_fail(b->err, LMG_ERROR_UNSUPPORTED, "material \"%.60s\": ior %g is below 1; give a refractive index from 1 on",
                         to->name, from->ior);
     to->ior = (float)from->ior;
+    if (from->dispersion > 0) {
+        /* KHR_materials_dispersion: 20 / V_d, with the index of the d line in ior. */
+        const lum_index_model glass = {LUM_INDEX_ABBE, {from->ior, 20 / from->dispersion}};
+        lum_spectrum by_nm;
+        lmg_error why;
+        if (lum_spectrum_of_index(&glass, &by_nm, &why))
+            return lmg_fail(b->err, LMG_ERROR_INPUT, "material \"%.60s\": dispersion %g with ior %g: %.200s; lower the dispersion",
+                            to->name, from->dispersion, from->ior, why.message);
+        LUM_TRY(lum_add_spectrum(b, &by_nm, &to->spectral.index));
+    }
     to->transmission = (float)from->transmission;
     if (from->transmission > 0)
         LUM_TRY(build_texture(b, &from->transmission_texture, false, &to->transmission_texture));

@@ -8,6 +8,7 @@
 #include "colour.h"
 #include "gltf_file.h"
 #include "recipe_reader.h"
+#include "recipe_spectrum.h"
 #include "text.h"
 
 #include <jansson.h>
@@ -28,15 +29,27 @@ static void read_emitter(lum_reader *r, lum_recipe_entry *e)
     e->emitter = true;
     bool lumens = lum_reader_number(&in, "lumens", 1e-12, 1e12, &e->lumens);
     bool luminance = lum_reader_number(&in, "luminance", 1e-12, 1e15, &e->luminance);
-    if (lumens == luminance)
-        lum_reader_fail(&in, "", lumens ? "give either \"lumens\" or \"luminance\" (cd/m2)" : "needs \"lumens\" or \"luminance\" (cd/m2)");
-    double kelvin;
+    double watts, kelvin;
+    bool power = lum_reader_number(&in, "watts", 1e-12, 1e12, &watts);
+    if (lumens + luminance + power != 1)
+        lum_reader_fail(&in, "", "%s", lumens + luminance + power
+                                           ? "give one of \"lumens\", \"luminance\" (cd/m2) and \"watts\""
+                                           : "needs \"lumens\" or \"luminance\" (cd/m2), or \"watts\" and a \"spectrum\"");
     bool colour = lum_reader_rgb(&in, "color", 0, 1e12, e->color);
     bool temperature = lum_reader_number(&in, "kelvin", LUM_KELVIN_MIN, LUM_KELVIN_MAX, &kelvin);
-    if (colour && temperature)
-        lum_reader_fail(&in, "", "give either \"color\" or \"kelvin\"");
-    if (temperature) {
+    bool spectrum = lum_reader_light(&in, "spectrum", &e->spectral.emission);
+    if (colour + temperature + spectrum > 1)
+        lum_reader_fail(&in, "", "give one of \"color\", \"kelvin\" and \"spectrum\"");
+    if (power && !spectrum)
+        lum_reader_fail(&in, "watts", "needs a \"spectrum\"");
+    if (spectrum && !in.result) {
+        lum_spectrum_rgb(e->spectral.emission, e->color);
+        e->spectral.measured = true;
+        if (power)
+            e->lumens = watts * lum_spectrum_efficacy(e->spectral.emission);
+    } else if (temperature) {
         lum_planckian(kelvin, e->color);
+        e->spectral.emission = lum_reader_blackbody(&in, kelvin);
     } else if (!colour) {
         e->color[0] = e->color[1] = e->color[2] = 1;
     } else {
@@ -71,14 +84,14 @@ static void read_glass(lum_reader *r, lum_recipe_entry *e)
     if (!lum_reader_open(r, "glass", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_GLASS);
-    if (!lum_reader_number(&in, "ior", 1, 4, &e->ior))
+    if (!lum_reader_index(&in, &e->ior, &e->spectral.index))
         e->ior = 1.5;
     e->thin = false;
     lum_reader_bool(&in, "thin", &e->thin);
     e->has_thin = true;
     get_roughness(&in, e);
     double color[3], distance;
-    bool absorption = lum_reader_rgb_float(&in, "absorption", 0, 1e9, e->absorption);
+    bool absorption = lum_reader_property(&in, "absorption", 0, 1e9, e->absorption, &e->spectral.absorption);
     bool coloured = lum_reader_rgb(&in, "attenuation_color", 1e-30, 1, color);
     bool distant = lum_reader_number(&in, "attenuation_distance", 1e-9, 1e9, &distance);
     if (coloured != distant || (coloured && absorption))
@@ -97,7 +110,7 @@ static void read_mirror(lum_reader *r, lum_recipe_entry *e)
     if (!lum_reader_open(r, "mirror", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_MIRROR);
-    if (!lum_reader_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
+    if (!lum_reader_reflectance(&in, "reflectance", e->reflectance, &e->spectral.reflectance))
         lum_reader_fail(&in, "reflectance", "is missing");
     get_roughness(&in, e);
     lum_reader_close(r, &in);
@@ -111,11 +124,16 @@ static void read_conductor(lum_reader *r, lum_recipe_entry *e)
     set_finish(&in, "", e, LUM_FINISH_CONDUCTOR);
     char metal[LUM_NAME_SIZE];
     bool named = lum_reader_string(&in, "metal", metal);
-    bool eta = lum_reader_rgb_float(&in, "eta", 1e-6, 1e3, e->eta), k = lum_reader_rgb_float(&in, "k", 0, 1e3, e->k);
+    bool eta = lum_reader_property(&in, "eta", 1e-6, 1e3, e->eta, &e->spectral.eta);
+    bool k = lum_reader_property(&in, "k", 0, 1e3, e->k, &e->spectral.k);
+    if ((e->spectral.eta != NULL) != (e->spectral.k != NULL))
+        lum_reader_fail(&in, "", "give both \"eta\" and \"k\" by wavelength, or neither");
     if (named == (eta || k) || eta != k)
         lum_reader_fail(&in, "", "give \"metal\", or \"eta\" and \"k\" together");
     if (named && !lum_metal(metal, e->eta, e->k))
         lum_reader_fail(&in, "metal", "\"%.40s\" is not one of %s", metal, lum_metal_names());
+    if (named)
+        lum_reader_metal(&in, metal, &e->spectral.eta, &e->spectral.k);
     get_roughness(&in, e);
     lum_reader_close(r, &in);
 }
@@ -126,14 +144,9 @@ static void read_diffuse(lum_reader *r, lum_recipe_entry *e)
     if (!lum_reader_open(r, "diffuse", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_DIFFUSE);
-    if (!lum_reader_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
+    if (!lum_reader_reflectance(&in, "reflectance", e->reflectance, &e->spectral.reflectance))
         lum_reader_fail(&in, "reflectance", "is missing");
     lum_reader_close(r, &in);
-}
-
-static double largest(const float rgb[3])
-{
-    return fmax(fmax((double)rgb[0], (double)rgb[1]), (double)rgb[2]);
 }
 
 static void read_diffuse_transmission(lum_reader *r, lum_recipe_entry *e)
@@ -142,13 +155,7 @@ static void read_diffuse_transmission(lum_reader *r, lum_recipe_entry *e)
     if (!lum_reader_open(r, "diffuse_transmission", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_DIFFUSE_TRANSMISSION);
-    if (!lum_reader_rgb_float(&in, "reflectance", 0, 1, e->reflectance))
-        lum_reader_fail(&in, "reflectance", "is missing");
-    if (!lum_reader_rgb_float(&in, "transmittance", 0, 1, e->transmittance))
-        lum_reader_fail(&in, "transmittance", "is missing");
-    /* The rounding of two floats to decimal and back. */
-    if (largest(e->reflectance) + largest(e->transmittance) > 1 + 0x1p-22)
-        lum_reader_fail(&in, "", "reflectance and transmittance together exceed 1");
+    lum_recipe_read_layer(&in, e, false);
     lum_reader_close(r, &in);
 }
 
@@ -168,18 +175,23 @@ static void read_entry_keys(lum_reader *r, lum_recipe_entry *e)
     read_diffuse(r, e);
     read_diffuse_transmission(r, e);
     lum_recipe_read_medium(r, e);
+    lum_recipe_read_phosphor(r, e);
     if (lum_reader_bool(r, "black", &black) && black)
         set_finish(r, "black", e, LUM_FINISH_BLACK);
     double ior;
-    bool thin, has_thin = lum_reader_bool(r, "thin", &thin), has_ior = lum_reader_number(r, "ior", 1, 4, &ior);
+    bool thin, has_thin = lum_reader_bool(r, "thin", &thin), has_ior;
+    const lum_spectrum *index;
+    has_ior = lum_reader_index(r, &ior, &index);
     if ((has_thin || has_ior) && e->finish != LUM_FINISH_NONE)
         lum_reader_fail(r, has_thin ? "thin" : "ior", "belongs inside \"glass\" when the entry names a surface");
     if (has_thin) {
         e->thin = thin;
         e->has_thin = true;
     }
-    if (has_ior)
+    if (has_ior) {
         e->ior = ior;
+        e->spectral.index = index;
+    }
     if (e->emitter && e->no_emission)
         lum_reader_fail(r, "no_emission", "contradicts \"emitter\"");
     lum_reader_check_rest(r); /* before complaining that it says nothing: a misspelt key is why */
@@ -193,7 +205,7 @@ static lmg_result add_entry(lum_recipe *recipe, json_t *object, const char *wher
 {
     lum_recipe_entry e = {.sides = LUM_SIDES_FRONT};
     snprintf(e.where, sizeof e.where, "%.120s", where);
-    lum_reader r = {.object = object, .err = err};
+    lum_reader r = {.object = object, .recipe = recipe, .err = err};
     snprintf(r.path, sizeof r.path, "%.100s", where);
     if (!json_is_object(object))
         return lmg_fail(err, LMG_ERROR_INPUT, "%s: must be an object", where);
@@ -216,13 +228,13 @@ static void read_globals(lum_recipe *recipe, lum_reader *r)
     lum_reader_number(r, "flux", 1e-12, 1e12, &recipe->flux);
 }
 
-static lmg_result read_document(lum_recipe *recipe, json_t *root, const char *folder, lmg_error *err)
+static lmg_result read_document(lum_recipe *recipe, json_t *root, lmg_error *err)
 {
     lum_reader r = {.object = root, .err = err};
     if (!json_is_object(root))
         return lmg_fail(err, LMG_ERROR_INPUT, "a recipe is an object, { ... }; see docs/recipe.md");
     read_globals(recipe, &r);
-    lum_recipe_read_volumes(&r, folder, recipe);
+    lum_recipe_read_volumes(&r, recipe->folder, recipe);
     json_t *entries = lum_reader_take(&r, "entries");
     if (entries && !json_is_array(entries))
         lum_reader_fail(&r, "entries", "must be an array");
@@ -248,10 +260,13 @@ lmg_result lum_recipe_create(lum_recipe **out, lmg_error *err)
 
 void lum_recipe_destroy(lum_recipe *recipe)
 {
-    if (recipe)
-        free(recipe->entries);
-    if (recipe)
-        free(recipe->volumes);
+    if (!recipe)
+        return;
+    for (uint32_t i = 0; i < recipe->spectrum_count; i++)
+        free(recipe->spectra[i]);
+    free(recipe->spectra);
+    free(recipe->entries);
+    free(recipe->volumes);
     free(recipe);
 }
 
@@ -263,8 +278,7 @@ lmg_result lum_recipe_read(const char *path, lum_recipe **out, lmg_error *err)
     uint8_t *text = NULL;
     size_t size = 0;
     json_t *root = NULL;
-    char folder[1024];
-    snprintf(folder, sizeof folder, "%.*s", (int)(lum_base_name(path) - path), path);
+    snprintf(recipe->folder, sizeof recipe->folder, "%.*s", (int)(lum_base_name(path) - path), path);
     lmg_result result = lum_read_file(path, MAX_RECIPE_BYTES, &text, &size, err);
     if (!result) {
         json_error_t e;
@@ -273,7 +287,7 @@ lmg_result lum_recipe_read(const char *path, lum_recipe **out, lmg_error *err)
             result = lmg_fail(err, LMG_ERROR_INPUT, "not JSON: line %d, column %d: %.200s", e.line, e.column, e.text);
     }
     if (!result)
-        result = read_document(recipe, root, folder, err);
+        result = read_document(recipe, root, err);
     if (!result)
         recipe->hash = lum_fnv1a(recipe->hash, text, size);
     json_decref(root);
@@ -321,11 +335,12 @@ static bool quantity(const char *text, const char *unit, double *out)
     return end != text && strcmp(end, unit) == 0 && isfinite(*out);
 }
 
-/* {"emitter": {...}} of "800lm", "9500cd/m2", with ",2700K" and ",both" or ",outside" after it in any order. */
+/* {"emitter": {...}} of "800lm", "9500cd/m2", with ",2700K" or ",D65", and ",both" or ",outside" after it in any order. */
 static json_t *emitter_words(const words *w)
 {
     json_t *e = json_object();
     double x;
+    lum_spectrum light;
     for (int i = 0; i < w->count; i++) {
         if (quantity(w->word[i], "lm", &x)) {
             json_object_set_new(e, "lumens", json_real(x));
@@ -335,6 +350,8 @@ static json_t *emitter_words(const words *w)
             json_object_set_new(e, "kelvin", json_real(x));
         } else if (strcmp(w->word[i], "front") == 0 || strcmp(w->word[i], "both") == 0 || strcmp(w->word[i], "outside") == 0) {
             json_object_set_new(e, "sides", json_string(w->word[i]));
+        } else if (lum_spectrum_illuminant(w->word[i], &light)) {
+            json_object_set_new(e, "spectrum", json_string(w->word[i]));
         } else {
             json_decref(e);
             return NULL;
@@ -347,6 +364,8 @@ static json_t *emitter_words(const words *w)
 static json_t *pair_words(const words *w, const char *first, const char *second, bool named)
 {
     double a = 0, b = 0;
+    lum_index_model glass;
+    named |= strcmp(first, "ior") == 0 && lum_index_of_glass(w->word[0], &glass);
     if (w->count > 2 || (!named && !quantity(w->word[0], "", &a)) || (w->count == 2 && (!second || !quantity(w->word[1], "", &b))))
         return NULL;
     json_t *e = json_object();

@@ -17,6 +17,7 @@ typedef enum lum_finish {
     LUM_FINISH_CONDUCTOR,
     LUM_FINISH_DIFFUSE,
     LUM_FINISH_DIFFUSE_TRANSMISSION,
+    LUM_FINISH_PHOSPHOR,
     LUM_FINISH_BLACK
 } lum_finish;
 
@@ -35,6 +36,8 @@ typedef struct lum_recipe_entry {
     float reflectance[3], transmittance[3], roughness, eta[3], k[3], absorption[3];
     bool has_medium;
     float scattering[3], medium_absorption[3], anisotropy;
+    float through; /* of a diffusing layer: share of what it scatters that goes to the far side, at most */
+    lum_spectral spectral; /* what is given by wavelength; the recipe owns it */
 } lum_recipe_entry;
 
 /* Smoke or haze: an OpenVDB file, or a box where path is empty. */
@@ -56,6 +59,9 @@ struct lum_recipe {
     uint32_t entry_count;
     lum_recipe_volume *volumes;
     uint32_t volume_count;
+    char folder[1024]; /* files that it names are looked for there: ends in "/", or empty */
+    lum_spectrum **spectra;
+    uint32_t spectrum_count;
 };
 
 /* recipe_medium.c: reads an entry's "medium"; reads "volumes", whose files are looked for in `folder` (ending in "/", or ""). */

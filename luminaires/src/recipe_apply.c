@@ -131,6 +131,8 @@ static void plain(lum_material *m)
     m->metallic = 0;
     m->transmission = m->diffuse_transmission = 0;
     m->has_eta = false;
+    const lum_spectral emission = {.emission = m->spectral.emission, .measured = m->spectral.measured};
+    m->spectral = emission;
     m->thin = true;
     m->roughness = 1;
     for (int i = 0; i < 4; i++)
@@ -146,16 +148,11 @@ static void set_color(lum_material *m, const float rgb[3])
     memcpy(m->base_color, rgb, 3 * sizeof *rgb);
 }
 
-static float largest(const float rgb[3])
-{
-    return fmaxf(fmaxf(rgb[0], rgb[1]), rgb[2]);
-}
-
 /* A layer that reflects r and transmits t diffusely.  In glTF's terms: a share d of the light goes through and takes the
  * transmission colour, the rest comes back with the base colour; with an index of 1 there is no interface before it. */
 static void set_diffuse_transmission(lum_material *m, const lum_recipe_entry *e)
 {
-    float r = largest(e->reflectance), t = largest(e->transmittance), d = t > 0 ? t / (r + t) : 0;
+    float d = e->through;
     m->kind = LUM_SURFACE_PBR;
     m->ior = 1;
     m->diffuse_transmission = d;
@@ -170,6 +167,10 @@ static void apply_finish(lum_material *m, const lum_recipe_entry *e)
     if (e->finish == LUM_FINISH_NONE)
         return;
     plain(m);
+    const lum_spectral emission = m->spectral;
+    m->spectral = e->spectral;
+    m->spectral.emission = emission.emission;
+    m->spectral.measured = emission.measured;
     switch (e->finish) {
     case LUM_FINISH_GLASS:
         m->kind = LUM_SURFACE_PBR;
@@ -198,6 +199,10 @@ static void apply_finish(lum_material *m, const lum_recipe_entry *e)
     case LUM_FINISH_DIFFUSE_TRANSMISSION:
         set_diffuse_transmission(m, e);
         break;
+    case LUM_FINISH_PHOSPHOR:
+        set_diffuse_transmission(m, e);
+        m->kind = LUM_SURFACE_LAMBERT;
+        break;
     case LUM_FINISH_BLACK:
         m->kind = LUM_SURFACE_BLACK;
         set_color(m, (const float[3]){0, 0, 0});
@@ -211,8 +216,10 @@ static void apply_entry(lum_material *m, const lum_recipe_entry *e)
 {
     const lum_texture none = {.image = LUM_NONE, .m = {{1, 0, 0}, {0, 1, 0}}};
     apply_finish(m, e);
-    if (e->ior > 0)
+    if (e->ior > 0) {
         m->ior = (float)e->ior;
+        m->spectral.index = e->spectral.index;
+    }
     if (e->has_thin) {
         m->thin = e->thin;
         for (int i = 0; i < 3 && e->thin; i++)
@@ -221,12 +228,15 @@ static void apply_entry(lum_material *m, const lum_recipe_entry *e)
     if (e->has_medium) {
         memcpy(m->scattering, e->scattering, sizeof m->scattering);
         memcpy(m->absorption, e->medium_absorption, sizeof m->absorption);
+        m->spectral.absorption = NULL;
         m->anisotropy = e->anisotropy;
     }
     if (e->no_emission || e->emitter) {
         memset(m->emissive, 0, sizeof m->emissive); /* an emitter's luminance follows when its area is known */
         m->emissive_texture = none;
         m->emits_back = false;
+        m->spectral.emission = e->spectral.emission;
+        m->spectral.measured = e->spectral.measured;
     }
     if (e->emitter) {
         m->emits_back = e->sides == LUM_SIDES_BOTH;
@@ -380,6 +390,27 @@ static lmg_result apply(applying *a)
     return LMG_OK;
 }
 
+/* The model owns what its materials point to: copies the recipe's spectra that they use. */
+static lmg_result adopt_spectra(lum_build *b)
+{
+    for (uint32_t i = 0; b->recipe && i < b->recipe->spectrum_count; i++) {
+        const lum_spectrum *theirs = b->recipe->spectra[i], *ours = NULL;
+        for (uint32_t k = 0; k < b->model->material_count; k++) {
+            lum_spectral *s = &b->model->materials[k].spectral;
+            const lum_spectrum **part[] = {&s->emission, &s->index, &s->absorption, &s->reflectance, &s->transmittance,
+                                           &s->eta,      &s->k,     &s->excitation, &s->converted};
+            for (size_t p = 0; p < sizeof part / sizeof *part; p++) {
+                if (*part[p] != theirs)
+                    continue;
+                if (!ours)
+                    LUM_TRY(lum_add_spectrum(b, theirs, &ours));
+                *part[p] = ours;
+            }
+        }
+    }
+    return LMG_OK;
+}
+
 /* Also without a recipe: materials that no part uses go. */
 lmg_result lum_recipe_apply(lum_build *b)
 {
@@ -389,6 +420,8 @@ lmg_result lum_recipe_apply(lum_build *b)
     }
     applying a = {.b = b};
     lmg_result result = apply(&a);
+    if (!result)
+        result = adopt_spectra(b);
     free(a.materials);
     free(a.variants);
     free(a.part_variant);

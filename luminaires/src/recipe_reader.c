@@ -140,7 +140,7 @@ bool lum_reader_open(lum_reader *r, const char *key, lum_reader *inner)
         json_decref(value);
         return false;
     }
-    *inner = (lum_reader){.object = value, .err = r->err};
+    *inner = (lum_reader){.object = value, .recipe = r->recipe, .err = r->err};
     snprintf(inner->path, sizeof inner->path, "%.100s%s%.20s", r->path, *r->path ? "." : "", key);
     return true;
 }

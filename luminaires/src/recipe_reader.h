@@ -13,6 +13,7 @@
 /* One object being read. */
 typedef struct lum_reader {
     json_t *object;
+    struct lum_recipe *recipe; /* that owns the spectra which are read, and knows where files are */
     char path[LUM_NAME_SIZE];
     lmg_error *err;
     lmg_result result; /* the first error; later getters do nothing */

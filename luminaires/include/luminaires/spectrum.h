@@ -156,6 +156,7 @@ bool lum_spectrum_of_metal(const char *name, lum_spectrum *eta, lum_spectrum *k)
 /* What a material is by wavelength, where that is known better than by R,G,B; NULL = not.  The model owns what they point to. */
 typedef struct lum_spectral {
     const lum_spectrum *emission;      /* relative power of what lum_material.emissive gives in cd/m2 */
+    bool measured;                     /* that is a spectrum of its own, not the one that goes with a colour temperature */
     const lum_spectrum *index;         /* refractive index; lum_material.ior is its value at the d line */
     const lum_spectrum *absorption;    /* 1/m inside a solid */
     const lum_spectrum *reflectance;   /* of "diffuse", "diffuse_transmission", "phosphor" and "mirror" */
