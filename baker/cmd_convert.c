@@ -5,6 +5,7 @@
 #include "convert.h"
 #include "open_source.h"
 
+#include <luminaires/photometry.h>
 #include <luminaires/rng.h>
 
 #include <errno.h>
@@ -18,6 +19,9 @@ enum {
     KEY_TO = 256,
     KEY_RAYS,
     KEY_RADIOMETRIC,
+    KEY_GRID,
+    KEY_SYMMETRY,
+    KEY_PIXELS,
     KEY_CELLS,
     KEY_LAYOUT,
     KEY_RESOLUTION,
@@ -31,9 +35,16 @@ enum {
 };
 
 static const struct argp_option OPTIONS[] = {
-    {"to", KEY_TO, "KIND", 0, "what B is to be, when its name doesn't say: box, tm25, zemax, zemax-text, lighttools, lighttools-text", 1},
+    {"to", KEY_TO, "KIND", 0,
+     "what B is to be, when its name doesn't say: box, tm25, zemax, zemax-text, lighttools, lighttools-text, ies, ies-2002, ldt, "
+     "tm33, "
+     "goniometric, usd, gltf",
+     1},
     {"rays", KEY_RAYS, "N", 0, "rays to take (default: all of a ray file, else 1e7)", 1},
     {"radiometric", KEY_RADIOMETRIC, 0, 0, "watts of a ray file as they are, no lumens", 1},
+    {"grid", KEY_GRID, "C,GAMMA", 0, "of a far field: planes round the circle and angles from 0 to 180 (default 72,73)", 2},
+    {"symmetry", KEY_SYMMETRY, "KIND", 0, "of a far field: none, axial, c0, c90 (mirror planes) or quadrant (default none)", 2},
+    {"pixels", KEY_PIXELS, "N", 0, "of a goniometric picture, per side (default 512)", 2},
     {"cells", KEY_CELLS, "N", 0, "size of a box in cells (default: by the number of rays)", 2},
     {"layout", KEY_LAYOUT, "KIND", 0, "of a box: auto, cube or aperture (default auto)", 2},
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 2},
@@ -48,19 +59,23 @@ static const struct argp_option OPTIONS[] = {
     {0},
 };
 
-static const char DOC[] = "Turns A into B: a ray file into a box, a box or a lamp (.gltf, .glb) into a ray file, a ray file into another. Says "
-                          "what flux went in, what came out, and what was lost on the way."
-                          "\vKinds by name: .box.exr, .tm25ray (IES TM-25), .dat (Zemax), .ray (LightTools).\n"
-                          "Example:\n  lumibake convert led.tm25ray led.box.exr";
+static const char DOC[] =
+    "Turns A into B. A: a ray file, a box, a lamp (.gltf, .glb) or a photometric file (.ies, .ldt, .xml); B: a box, a ray "
+    "file, a photometric file, or its light for another renderer. Says what flux went in, what came out, and what was lost."
+    "\vKinds by name: .box.exr, .tm25ray (IES TM-25), .dat (Zemax), .ray (LightTools), .ies, .ldt, .xml (TM-33), .usda, .gltf.\n"
+    "Example:\n  lumibake convert led.tm25ray led.box.exr";
 
 /* What B can be. */
-typedef enum target_kind { TO_NONE, TO_BOX, TO_RAYS } target_kind;
+typedef enum target_kind { TO_NONE, TO_BOX, TO_RAYS, TO_PHOTOMETRY } target_kind;
 
 typedef struct command {
     lamp_options lamp;
     const char *output;
     target_kind to;
-    lum_ray_format format; /* of a ray file */
+    lum_ray_format format;            /* of a ray file */
+    lum_photometry_format photometry; /* of a photometric file */
+    uint32_t pixels;
+    char losses[512]; /* of a photometric file: what its format can't keep */
     bool radiometric, quiet, json;
     double flux_lm;
     uint64_t seed;
@@ -73,32 +88,47 @@ static void parse_to(struct argp_state *state, const char *text, command *c)
         const char *name;
         target_kind to;
         lum_ray_format format;
+        lum_photometry_format photometry;
     } KINDS[] = {
-        {"box", TO_BOX, LUM_RAYS_NONE},
-        {"tm25", TO_RAYS, LUM_RAYS_TM25},
-        {"zemax", TO_RAYS, LUM_RAYS_ZEMAX},
-        {"zemax-text", TO_RAYS, LUM_RAYS_ZEMAX_TEXT},
-        {"lighttools", TO_RAYS, LUM_RAYS_LIGHTTOOLS},
-        {"lighttools-text", TO_RAYS, LUM_RAYS_LIGHTTOOLS_TEXT},
+        {"box", TO_BOX, LUM_RAYS_NONE, LUM_FORMAT_AUTO},
+        {"tm25", TO_RAYS, LUM_RAYS_TM25, LUM_FORMAT_AUTO},
+        {"zemax", TO_RAYS, LUM_RAYS_ZEMAX, LUM_FORMAT_AUTO},
+        {"zemax-text", TO_RAYS, LUM_RAYS_ZEMAX_TEXT, LUM_FORMAT_AUTO},
+        {"lighttools", TO_RAYS, LUM_RAYS_LIGHTTOOLS, LUM_FORMAT_AUTO},
+        {"lighttools-text", TO_RAYS, LUM_RAYS_LIGHTTOOLS_TEXT, LUM_FORMAT_AUTO},
+        {"ies", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_IES},
+        {"ies-2002", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_IES_2002},
+        {"ldt", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_EULUMDAT},
+        {"tm33", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_TM33},
+        {"goniometric", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_GONIOMETRIC_EXR},
+        {"usd", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_USD},
+        {"gltf", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_GLTF},
     };
     for (size_t i = 0; i < sizeof(KINDS) / sizeof(KINDS[0]); ++i)
         if (!strcmp(text, KINDS[i].name)) {
             c->to = KINDS[i].to;
             c->format = KINDS[i].format;
+            c->photometry = KINDS[i].photometry;
             return;
         }
-    usage_error(state, "--to: '%s' is none of box, tm25, zemax, zemax-text, lighttools, lighttools-text", text);
+    usage_error(state,
+                "--to: '%s' is none of box, tm25, zemax, zemax-text, lighttools, lighttools-text, ies, ies-2002, ldt, "
+                "tm33, goniometric, usd, gltf",
+                text);
 }
 
 /* The kind of B from its name. */
 static void choose_target(command *c)
 {
     const size_t n = strlen(c->output);
+    c->photometry = lum_photometry_format_of_name(c->output);
     c->format = lum_ray_format_of_name(c->output);
     if (c->format != LUM_RAYS_NONE)
         c->to = TO_RAYS;
     else if (n >= 4 && !strcmp(c->output + n - 4, ".exr"))
-        c->to = TO_BOX;
+        c->to = TO_BOX; /* a goniometric picture has to be asked for */
+    else if (c->photometry != LUM_FORMAT_AUTO)
+        c->to = TO_PHOTOMETRY;
 }
 
 static error_t parse(int key, char *arg, struct argp_state *state)
@@ -113,6 +143,28 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_RADIOMETRIC:
         c->radiometric = true;
+        break;
+    case KEY_GRID: {
+        char *end;
+        const unsigned long planes = strtoul(arg, &end, 10), angles = *end == ',' ? strtoul(end + 1, &end, 10) : 0;
+        if (*end || planes < 4 || planes > 720 || planes % 4 || angles < 7 || angles > 1441)
+            usage_error(state, "--grid: '%s' is not C,GAMMA with 4..720 planes, a multiple of 4, and 7..1441 angles", arg);
+        c->options.grid.planes = (uint32_t)planes;
+        c->options.grid.angles = (uint32_t)angles;
+        break;
+    }
+    case KEY_SYMMETRY: {
+        static const char *const NAMES[] = {"none", "axial", "c0", "c90", "quadrant"};
+        int k = 0;
+        while (k < 5 && strcmp(arg, NAMES[k]))
+            ++k;
+        if (k == 5)
+            usage_error(state, "--symmetry: '%s' is none of none, axial, c0, c90, quadrant", arg);
+        c->options.grid.symmetry = (lum_symmetry)k;
+        break;
+    }
+    case KEY_PIXELS:
+        c->pixels = (uint32_t)argument_count(state, "--pixels", arg, 2, 8192);
         break;
     case KEY_CELLS:
         c->options.fit.cells = argument_count(state, "--cells", arg, 1000, UINT64_C(1) << 32);
@@ -176,9 +228,14 @@ static const char *base_name(const char *path)
 
 static const char *kind_name(const command *c, const opened_source *a, bool input)
 {
+    static const char *const PHOTOMETRY[] = {"", "IES", "IES", "EULUMDAT", "TM-33", "goniometric picture", "USD", "glTF light"};
     if (!input)
-        return c->to == TO_BOX ? "box" : lum_ray_format_name(c->format);
-    return a->kind == SOURCE_LAMP ? "glTF lamp" : a->kind == SOURCE_BOX ? "box" : lum_ray_format_name(lum_rayfile_info(a->rays)->format);
+        return c->to == TO_BOX ? "box" : c->to == TO_RAYS ? lum_ray_format_name(c->format) : PHOTOMETRY[c->photometry];
+    if (a->kind == SOURCE_PHOTOMETRY)
+        return a->photometry->format;
+    return a->kind == SOURCE_LAMP  ? "glTF lamp"
+           : a->kind == SOURCE_BOX ? "box"
+                                   : lum_ray_format_name(lum_rayfile_info(a->rays)->format);
 }
 
 /* -------------------------------------------------------------------------------------------------------------- arrows */
@@ -191,10 +248,7 @@ static lmg_result describe_box(const command *c, const opened_source *a, const b
     const struct {
         const char *name, *value;
     } texts[] = {
-        {"software", "lumibake " LMG_VERSION_STRING},
-        {"source", origin},
-        {"rays", rays},
-        {"layout_why", r->layout_why},
+        {"software", "lumibake " LMG_VERSION_STRING},    {"source", origin}, {"rays", rays}, {"layout_why", r->layout_why},
         {"quantity", a->photometric ? NULL : "radiant"}, /* all "lumens" of this box are watts */
     };
     lmg_result result = LMG_OK;
@@ -202,8 +256,9 @@ static lmg_result describe_box(const command *c, const opened_source *a, const b
         if (texts[i].value)
             result = lmg_field_set_text(field, texts[i].name, texts[i].value, err);
     /* what the maker of the rays says of them */
-    static const char *const NAMES[LUM_RAY_TEXTS] = {"ray_source",    "ray_manufacturer", "ray_model_creator", "ray_file_creator", "ray_equipment",
-                                                     "ray_camera",    "ray_operation",    "ray_remarks",       "ray_reference"};
+    static const char *const NAMES[LUM_RAY_TEXTS] = {"ray_source",       "ray_manufacturer", "ray_model_creator",
+                                                     "ray_file_creator", "ray_equipment",    "ray_camera",
+                                                     "ray_operation",    "ray_remarks",      "ray_reference"};
     for (int i = 0; result == LMG_OK && a->rays && i < LUM_RAY_TEXTS; ++i)
         if (lum_rayfile_info(a->rays)->texts[i][0])
             result = lmg_field_set_text(field, NAMES[i], lum_rayfile_info(a->rays)->texts[i], err);
@@ -256,6 +311,38 @@ static lmg_result to_rays(const command *c, const opened_source *a, bake_convers
     return bake_convert_to_rays(a->source, &c->options, c->output, &writer, r, err);
 }
 
+static lmg_result to_photometry(command *c, const opened_source *a, bake_conversion *r, lmg_error *err)
+{
+    /* A photometric file into another goes without rays, unless they are asked for. */
+    const bool direct = a->photometry && c->options.rays == 0;
+    lum_photometry *p = NULL;
+    lmg_result result =
+        direct ? lum_photometry_copy(a->photometry, &p, err) : bake_convert_to_photometry(a->source, &c->options, &p, r, err);
+    lum_photometry_measures m;
+    if (result == LMG_OK && direct) {
+        *r = (bake_conversion){0};
+        result = lum_photometry_measure(p, &m, err);
+        r->flux_in = r->flux_out = m.flux;
+    } else if (result == LMG_OK) {
+        char origin[512];
+        snprintf(origin, sizeof(origin), "%.300s (%s), %" PRIu64 " rays, lumibake " LMG_VERSION_STRING, base_name(a->path),
+                 kind_name(c, a, true), r->rays);
+        result = lum_photometry_set_keyword(p, "LUMINAIRE", base_name(a->path), err);
+        if (result == LMG_OK)
+            result = lum_photometry_set_keyword(p, "OTHER", origin, err);
+        if (result == LMG_OK && !a->photometric)
+            snprintf(p->unit, sizeof(p->unit), "W/sr");
+    }
+    const lum_photometry_write_options options = {.struct_size = sizeof(options),
+                                                  .format = c->photometry,
+                                                  .simulated = !direct && a->kind != SOURCE_RAYS,
+                                                  .resolution = c->pixels};
+    if (result == LMG_OK)
+        result = lum_photometry_write(p, c->output, &options, c->losses, err);
+    lum_photometry_destroy(p);
+    return result;
+}
+
 static lmg_result convert(command *c, opened_source *a, bake_conversion *r, lmg_error *err)
 {
     const source_kind kind = source_kind_of(c->lamp.path);
@@ -265,7 +352,9 @@ static lmg_result convert(command *c, opened_source *a, bake_conversion *r, lmg_
         return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "%s: isn't a ray file, and a box is a box already", c->lamp.path);
     const source_options options = {
         .flux_lm = c->flux_lm,
-        .rays = c->radiometric ? LUM_RAY_POWER : c->to == TO_RAYS ? LUM_RAY_STORED : LUM_RAY_LIGHT,
+        .rays = c->radiometric     ? LUM_RAY_POWER
+                : c->to == TO_RAYS ? LUM_RAY_STORED
+                                   : LUM_RAY_LIGHT,
         .seed = lum_mix64(c->seed + 0x63), /* apart from a bake's with the same number */
         .threads = c->options.threads,
         .quiet = c->quiet,
@@ -273,18 +362,23 @@ static lmg_result convert(command *c, opened_source *a, bake_conversion *r, lmg_
     const lmg_result result = open_source(&c->lamp, &options, a, err);
     if (result != LMG_OK)
         return result;
-    return c->to == TO_BOX ? to_box(c, a, r, err) : to_rays(c, a, r, err);
+    return c->to == TO_BOX ? to_box(c, a, r, err) : c->to == TO_RAYS ? to_rays(c, a, r, err) : to_photometry(c, a, r, err);
 }
 
 /* -------------------------------------------------------------------------------------------------------------- report */
 
 static json_t *report_json(const command *c, const opened_source *a, const bake_conversion *r)
 {
-    json_t *o = json_pack("{s:s, s:{s:s, s:s}, s:{s:s, s:s}, s:s, s:I, s:I, s:o, s:o, s:o, s:o, s:f}", "format", "lumibake convert 1", "from",
-                          "path", a->path, "kind", kind_name(c, a, true), "to", "path", c->output, "kind", kind_name(c, a, false), "unit",
-                          a->photometric ? "lm" : "W", "photons", (json_int_t)r->photons, "rays", (json_int_t)r->rays, "flux_in",
-                          json_number(r->flux_in), "flux_out", json_number(r->flux_out), "flux_out_standard_error", json_number(r->out_se),
-                          "loss", json_number((r->flux_in - r->flux_out) / r->flux_in), "seconds", r->seconds);
+    json_t *o =
+        json_pack("{s:s, s:{s:s, s:s}, s:{s:s, s:s}, s:s, s:I, s:I, s:o, s:o, s:o, s:o, s:f}", "format", "lumibake convert 1",
+                  "from", "path", a->path, "kind", kind_name(c, a, true), "to", "path", c->output, "kind", kind_name(c, a, false),
+                  "unit", a->photometric ? "lm" : "W", "photons", (json_int_t)r->photons, "rays", (json_int_t)r->rays, "flux_in",
+                  json_number(r->flux_in), "flux_out", json_number(r->flux_out), "flux_out_standard_error", json_number(r->out_se),
+                  "loss", json_number((r->flux_in - r->flux_out) / r->flux_in), "seconds", r->seconds);
+    if (c->to == TO_PHOTOMETRY) {
+        json_object_set_new(o, "noise", json_number(r->noise));
+        json_object_set_new(o, "not_kept", json_string(c->losses));
+    }
     if (c->to == TO_BOX) {
         json_object_set_new(o, "residual", json_number(r->residual));
         json_object_set_new(o, "refused_rays", json_integer((json_int_t)r->refused));
@@ -301,6 +395,10 @@ static void print_report(const command *c, const opened_source *a, const bake_co
     printf("  flux in   %14.8g %s\n", r->flux_in, unit);
     printf("  flux out  %14.8g %s  +- %.2g\n", r->flux_out, unit, r->out_se);
     printf("  loss      %14.2g %%\n", 100 * (r->flux_in - r->flux_out) / r->flux_in);
+    if (c->to == TO_PHOTOMETRY && r->noise > 0)
+        printf("  noise     %14.2g %%  (standard error, RMS over the sphere)\n", 100 * r->noise);
+    if (c->to == TO_PHOTOMETRY && c->losses[0])
+        printf("  not kept  %s\n", c->losses);
     if (c->to == TO_BOX && (r->residual > 0 || r->refused > 0))
         printf("  of which  %.6g %s beside all slabs, %" PRIu64 " rays that can't be counted\n", r->residual, unit, r->refused);
 }

@@ -94,6 +94,19 @@ static lmg_result fit_layout(bake_source *source, const bake_convert_options *o,
     return result;
 }
 
+/* All photons into one sink, with looks at options.stop. */
+static lmg_result run_into(bake_source *source, const bake_convert_options *o, uint64_t photons, lmg_sink sink, bake_tally *tally,
+                           lmg_error *err)
+{
+    lmg_result result = LMG_OK;
+    for (uint64_t at = 0; result == LMG_OK && at < photons; at += STRETCH) {
+        result = stopped(o, err);
+        if (result == LMG_OK)
+            result = source->run(source, at, photons - at < STRETCH ? photons - at : STRETCH, o->threads, &sink, 1, tally, err);
+    }
+    return result;
+}
+
 lmg_result bake_convert_to_field(bake_source *source, const bake_convert_options *o, lmg_field **out, bake_conversion *report,
                                  lmg_error *err)
 {
@@ -109,14 +122,8 @@ lmg_result bake_convert_to_field(bake_source *source, const bake_convert_options
     if (result == LMG_OK)
         result = lmg_accumulator_create(&layout, &accumulator, err);
     bake_tally tally = {0};
-    if (result == LMG_OK) {
-        const lmg_sink sink = lmg_accumulator_sink(accumulator);
-        for (uint64_t at = 0; result == LMG_OK && at < photons; at += STRETCH) {
-            result = stopped(o, err);
-            if (result == LMG_OK)
-                result = source->run(source, at, photons - at < STRETCH ? photons - at : STRETCH, o->threads, &sink, 1, &tally, err);
-        }
-    }
+    if (result == LMG_OK)
+        result = run_into(source, o, photons, lmg_accumulator_sink(accumulator), &tally, err);
     if (result == LMG_OK) {
         const double unit = source->flux / (double)photons, n = (double)photons;
         const lmg_deposit_totals totals = lmg_accumulator_totals(accumulator);
@@ -198,6 +205,53 @@ lmg_result bake_convert_to_rays(bake_source *source, const bake_convert_options 
     report->photons = photons;
     report->flux_in = tally.escaped * unit;
     report->out_se = source->photons ? 0 : source->flux * bake_share_error(tally.escaped, (double)photons);
+    report->seconds = bake_clock() - began;
+    return result;
+}
+
+lmg_result bake_convert_to_photometry(bake_source *source, const bake_convert_options *o, lum_photometry **out,
+                                      bake_conversion *report, lmg_error *err)
+{
+    *out = NULL;
+    *report = (bake_conversion){0};
+    const double began = bake_clock();
+    uint64_t photons;
+    bake_goniometer *goniometer = NULL;
+    double *se = NULL;
+    bake_goniometer_options grid = o->grid;
+    grid.bounds_min = source->bounds_min;
+    grid.bounds_max = source->bounds_max;
+    lmg_result result = choose_photons(source, o, &photons, err);
+    if (result == LMG_OK)
+        result = bake_goniometer_create(&grid, &goniometer, err);
+    bake_tally tally = {0};
+    if (result == LMG_OK)
+        result = run_into(source, o, photons, bake_goniometer_sink(goniometer), &tally, err);
+    const double unit = result == LMG_OK ? source->flux / (double)photons : 0;
+    if (result == LMG_OK)
+        result = bake_goniometer_read(goniometer, unit, out, &se, err);
+    lum_photometry_measures measures;
+    if (result == LMG_OK)
+        result = lum_photometry_measure(*out, &measures, err);
+    if (result == LMG_OK) {
+        double signal = 0, noise = 0;
+        for (size_t i = 0; i < (size_t)(*out)->h_count * (*out)->v_count; ++i) {
+            const double solid = sin((*out)->v[i % (*out)->v_count] * 3.14159265358979323846 / 180); /* the poles have none */
+            signal += solid * (*out)->intensity[i] * (*out)->intensity[i];
+            noise += solid * se[i] * se[i];
+        }
+        report->photons = photons;
+        report->rays = (uint64_t)llround(tally.escaped);
+        report->flux_in = tally.escaped * unit;
+        report->flux_out = measures.flux;
+        report->out_se = source->flux * bake_share_error(tally.escaped, (double)photons);
+        report->noise = sqrt(noise / signal);
+    } else {
+        lum_photometry_destroy(*out);
+        *out = NULL;
+    }
+    free(se);
+    bake_goniometer_destroy(goniometer);
     report->seconds = bake_clock() - began;
     return result;
 }

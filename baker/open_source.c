@@ -25,7 +25,7 @@ source_kind source_kind_of(const char *path)
     /* a name that promises rays is opened as rays, so that a damaged file is called a damaged ray file */
     if (lum_ray_format_of_file(path) != LUM_RAYS_NONE || lum_ray_format_of_name(path) != LUM_RAYS_NONE)
         return SOURCE_RAYS;
-    return SOURCE_BOX;
+    return lum_photometry_is_readable_name(path) ? SOURCE_PHOTOMETRY : SOURCE_BOX;
 }
 
 static lmg_result open_lamp(const lamp_options *lamp, const source_options *options, opened_source *s, lmg_error *err)
@@ -66,6 +66,26 @@ static lmg_result open_rays(const source_options *options, opened_source *s, lmg
                                                : lmg_fail(err, result, "%s: %.400s", s->path, inner.message);
 }
 
+static lmg_result open_photometry(const source_options *options, opened_source *s, lmg_error *err)
+{
+    lmg_result result = lum_photometry_read(s->path, &s->photometry, err);
+    if (result != LMG_OK)
+        return result;
+    lum_photometry *p = s->photometry;
+    if (p->warnings[0] && !options->quiet)
+        fprintf(stderr, "note: %s: %s\n", s->path, p->warnings);
+    s->photometric = !strcmp(p->unit, "cd");
+    if (!s->photometric) { /* "mW/sr", "W/sr", ... */
+        const double unit = p->unit[0] == 'm' ? 1e-3 : p->unit[0] == 'W' ? 1 : 1e-6;
+        for (size_t i = 0; i < (size_t)p->h_count * p->v_count; ++i)
+            p->intensity[i] *= unit;
+        memcpy(p->unit, "W/sr", 5);
+    }
+    lmg_error inner = {{0}};
+    result = bake_profile_source_create(p, options->seed, &s->source, &inner);
+    return result == LMG_OK ? result : lmg_fail(err, result, "%s: %.400s", s->path, inner.message);
+}
+
 static lmg_result open_box(const source_options *options, opened_source *s, lmg_error *err)
 {
     lmg_result result = lmg_field_read(s->path, &s->field, err);
@@ -89,6 +109,9 @@ lmg_result open_source(const lamp_options *lamp, const source_options *options, 
     case SOURCE_RAYS:
         result = open_rays(options, out, err);
         break;
+    case SOURCE_PHOTOMETRY:
+        result = open_photometry(options, out, err);
+        break;
     case SOURCE_BOX:
         result = open_box(options, out, err);
         break;
@@ -103,6 +126,7 @@ void close_source(opened_source *s)
     if (s->source)
         s->source->destroy(s->source);
     lum_rayfile_close(s->rays);
+    lum_photometry_destroy(s->photometry);
     lum_model_destroy(s->model);
     lmg_field_destroy(s->field);
     free(s->recipe);
