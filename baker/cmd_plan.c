@@ -146,7 +146,7 @@ json_t *json_plan(const struct bake_plan *plan)
         json_t *item = json_pack("{s:s, s:b, s:s}", "effect", bake_effect_name(e->effect), "simulated", e->simulated, "why", e->why);
         if (plan->photons > 0) {
             json_object_set_new(item, "reachable", json_boolean(e->met > 0));
-            json_object_set_new(item, "meets", json_change(&(bake_change){e->met, e->met_error}));
+            json_object_set_new(item, "meets", json_change(&(bake_change){e->met, e->met_error, 0}));
         }
         if (e->measured) {
             json_object_set_new(item, "flux", json_change(&e->flux));

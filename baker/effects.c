@@ -218,14 +218,9 @@ static void flatten_textures(const lum_model *model, lum_material *m)
     }
 }
 
-static bool is_rough(const lum_material *m)
+static void strip_material(const lum_model *model, uint32_t keep, lum_material *m)
 {
-    return m->roughness * m->roughness >= LUM_SMOOTH;
-}
-
-static void strip_material(const lum_model *model, uint32_t drop, lum_material *m)
-{
-    const uint32_t has = bake_effects_of_material(m);
+    const uint32_t drop = bake_effects_of_material(m) & ~keep;
     if (drop & bit(BAKE_COVERAGE))
         m->alpha_mode = LUM_ALPHA_OPAQUE;
     if (drop & bit(BAKE_NORMAL_MAPS))
@@ -245,18 +240,15 @@ static void strip_material(const lum_model *model, uint32_t drop, lum_material *
         spectral->converted = spectral->excitation = NULL;
     if (drop & bit(BAKE_DIFFUSE_TRANSMISSION))
         m->diffuse_transmission = 0;
-    if ((drop & has & bit(BAKE_GLASS_ROUGH)) || (is_rough(m) && drop & has & bit(BAKE_CONDUCTOR_ROUGH)))
+    if (drop & (bit(BAKE_GLASS_ROUGH) | bit(BAKE_CONDUCTOR_ROUGH)))
         m->roughness = 0;
-    /* glass-rough without its roughness is glass-smooth, and goes with it */
-    const bool glass = has & (bit(BAKE_GLASS_THIN) | bit(BAKE_GLASS_SMOOTH) | bit(BAKE_GLASS_ROUGH));
-    const bool gone = m->thin ? drop & bit(BAKE_GLASS_THIN) : drop & bit(BAKE_GLASS_SMOOTH) && (drop & bit(BAKE_GLASS_ROUGH) || !is_rough(m));
-    if (glass && gone && m->metallic == 0) {
+    if (drop & (bit(BAKE_GLASS_THIN) | bit(BAKE_GLASS_SMOOTH)) && m->metallic == 0) {
         /* the coated share of a part-glass stays, as a surface that light meets that often */
         m->alpha_mode = LUM_ALPHA_BLEND;
         m->base_color[3] = 1 - m->transmission;
         m->transmission = 0;
     }
-    if (drop & has & bit(BAKE_COAT) && m->metallic == 0 && m->transmission == 0)
+    if (drop & bit(BAKE_COAT) && m->metallic == 0 && m->transmission == 0)
         m->kind = LUM_SURFACE_LAMBERT;
 }
 
@@ -276,7 +268,7 @@ lmg_result bake_effects_strip(const lum_model *model, uint32_t keep, lum_model *
         (*out)->volume_count = 0;
     for (uint32_t i = 0; i < model->material_count; ++i) {
         materials[i] = model->materials[i];
-        strip_material(model, ~keep, &materials[i]);
+        strip_material(model, keep, &materials[i]);
     }
     return LMG_OK;
 }

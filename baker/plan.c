@@ -17,7 +17,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { GROUPS = 16, SIDE = 4, CELLS = 6 * SIDE * SIDE };
+/* Cells on each face of a cube, for the places where light leaves the bounds and for directions (3 degrees), and the coarse ones that
+ * COARSEN x COARSEN of them make: narrow beams need the fine ones, little light the coarse ones. */
+enum { GROUPS = 16, SIDE = 32, CELLS = 6 * SIDE * SIDE, COARSEN = 8, COARSE_CELLS = CELLS / (COARSEN * COARSEN) };
 
 /* Photons of the plan are numbered from here on, apart from those of bake and pilot. */
 static const uint64_t PLAN_FIRST = UINT64_C(1) << 61;
@@ -32,10 +34,12 @@ static const double UNIT = 1048576;
 
 /* ------------------------------------------------------------------------------------------------------------- census */
 
+/* What is counted: luminance by direction and by place, and by direction the part of red and blue that isn't grey. */
+typedef enum field { FAR, NEAR, RED, BLUE, FIELDS } field;
+
 typedef struct census {
     lmg_vec3 low, high; /* the luminaire's bounds */
-    int64_t far_field[GROUPS][CELLS], near_field[GROUPS][CELLS]; /* luminance */
-    int64_t rgb[GROUPS][3];
+    int64_t cells[FIELDS][GROUPS][CELLS];
 } census;
 
 /* Cell of a position on the faces of a cube: axis and sign, and two coordinates in [-1,1]. */
@@ -84,11 +88,12 @@ static void count_rays(census *c, const lmg_ray *rays, size_t count)
         const lmg_ray *r = &rays[i];
         const double o[3] = {r->origin.x, r->origin.y, r->origin.z}, d[3] = {r->direction.x, r->direction.y, r->direction.z};
         const size_t g = r->number % GROUPS;
-        const int64_t y = llround(lmg_luminance(r->flux) * UNIT);
-        c->far_field[g][cell_of_direction(d)] += y;
-        c->near_field[g][cell_of_exit(c, o, d)] += y;
-        for (int k = 0; k < 3; ++k)
-            c->rgb[g][k] += llround((double)r->flux[k] * UNIT);
+        const double y = lmg_luminance(r->flux);
+        const int direction = cell_of_direction(d);
+        c->cells[FAR][g][direction] += llround(y * UNIT);
+        c->cells[NEAR][g][cell_of_exit(c, o, d)] += llround(y * UNIT);
+        c->cells[RED][g][direction] += llround(((double)r->flux[0] - y) * UNIT);
+        c->cells[BLUE][g][direction] += llround(((double)r->flux[2] - y) * UNIT);
     }
 }
 
@@ -105,29 +110,56 @@ static double jackknife(const double without[GROUPS])
     return sqrt(sum * (GROUPS - 1) / GROUPS);
 }
 
-typedef const int64_t (*counts_of_cells)[CELLS];
+/* Sums over the groups of one cell's change d and light t, and their parts. */
+typedef struct cell_sums {
+    double d[GROUPS], t[GROUPS];
+} cell_sums;
 
-/* Square of the relative RMS difference of two distributions, flux-weighted, the variance of what was measured subtracted; group
- * `left_out` (or none, -1) not counted. */
-static double squared_difference(counts_of_cells with, counts_of_cells without, int left_out)
+static cell_sums sums_of(const census *with, const census *without, field f, int cell, bool coarse)
 {
-    const int groups = left_out < 0 ? GROUPS : GROUPS - 1;
-    double squares = 0, all = 0;
-    for (int c = 0; c < CELLS; ++c) {
-        double sum = 0, sum2 = 0, total = 0;
-        for (int g = 0; g < GROUPS; ++g) {
-            if (g == left_out)
-                continue;
-            const double a = (double)with[g][c], d = (double)without[g][c] - a;
-            sum += d;
-            sum2 += d * d;
-            total += a;
+    cell_sums sums = {{0}, {0}};
+    const field light = f == NEAR ? NEAR : FAR;
+    const int across = SIDE / COARSEN, face = cell / (across * across), row = cell / across % across, column = cell % across;
+    const int n = coarse ? COARSEN : 1;
+    for (int i = 0; i < n; ++i)
+        for (int k = 0; k < n; ++k) {
+            const int at = coarse ? (face * SIDE + row * COARSEN + i) * SIDE + column * COARSEN + k : cell;
+            for (int g = 0; g < GROUPS; ++g) {
+                sums.d[g] += (double)(without->cells[f][g][at] - with->cells[f][g][at]);
+                sums.t[g] += (double)with->cells[light][g][at];
+            }
         }
-        const double variance = (sum2 - sum * sum / groups) * groups / (groups - 1);
-        squares += sum * sum - variance;
-        all += total * total;
+    return sums;
+}
+
+/*
+ * Square of the RMS change of a field's cells relative to the light in them, flux-weighted: sum of squared changes over sum of squared
+ * light, what chance adds to the squares subtracted (the variance of a sum over groups, from the groups themselves).  Its standard
+ * error by jackknife.
+ */
+static double squared_change(const census *with, const census *without, field f, bool coarse, double *error)
+{
+    double squares[GROUPS + 1] = {0}, light[GROUPS + 1] = {0}; /* with group g left out; the last: none */
+    const int cells = coarse ? COARSE_CELLS : CELLS;
+    for (int c = 0; c < cells; ++c) {
+        const cell_sums sums = sums_of(with, without, f, c, coarse);
+        double d = 0, d2 = 0, t = 0;
+        for (int g = 0; g < GROUPS; ++g) {
+            d += sums.d[g];
+            d2 += sums.d[g] * sums.d[g];
+            t += sums.t[g];
+        }
+        for (int g = 0; g <= GROUPS; ++g) {
+            const double own = g < GROUPS ? sums.d[g] : 0, n = g < GROUPS ? GROUPS - 1 : GROUPS;
+            const double sum = d - own, sum2 = d2 - own * own, rest = t - (g < GROUPS ? sums.t[g] : 0);
+            squares[g] += sum * sum - (sum2 - sum * sum / n) * n / (n - 1);
+            light[g] += rest * rest;
+        }
     }
-    return all > 0 ? squares / all : 0;
+    for (int g = 0; g <= GROUPS; ++g)
+        squares[g] = light[g] > 0 ? squares[g] / light[g] : 0;
+    *error = jackknife(squares);
+    return squares[GROUPS];
 }
 
 /* The root of a square that noise may have made negative keeps its sign. */
@@ -136,58 +168,50 @@ static double signed_root(double x)
     return x < 0 ? -sqrt(-x) : sqrt(x);
 }
 
-static bake_change rms_change(counts_of_cells with, counts_of_cells without, double *bound)
+/* The RMS change of a field, by fine or coarse cells, whichever has the higher bound. */
+static double rms_change(const census *with, const census *without, field f, bake_change *out)
 {
-    double each[GROUPS];
-    const double square = squared_difference(with, without, -1);
-    for (int g = 0; g < GROUPS; ++g)
-        each[g] = squared_difference(with, without, g);
-    const double error = jackknife(each);
-    *bound = sqrt(fmax(0, square + 2 * error));
-    /* in the root's own units, symmetric as far as that goes: half the way to the bound */
-    const double value = signed_root(square);
-    return (bake_change){value, 0.5 * (*bound - value)};
+    double highest = -1;
+    for (int coarse = 0; coarse < 2; ++coarse) {
+        double error;
+        const double square = squared_change(with, without, f, coarse, &error), value = signed_root(square);
+        const double bound = sqrt(fmax(0, square + 2 * error));
+        if (bound > highest) {
+            highest = bound;
+            *out = (bake_change){value, 0.5 * (bound - value), error > 0 ? square / error : 0};
+        }
+    }
+    return highest;
 }
 
-/* Relative change of the luminance (k < 0), or of the share of colour k in it. */
-static bake_change total_change(const census *with, const census *without, int k)
+static bake_change flux_change(const census *with, const census *without)
 {
-    double each[GROUPS], value = 0;
-    for (int left_out = -1; left_out < GROUPS; ++left_out) {
-        double a[3] = {0}, b[3] = {0};
-        for (int g = 0; g < GROUPS; ++g)
-            for (int c = 0; c < 3 && g != left_out; ++c) {
-                a[c] += (double)with->rgb[g][c];
-                b[c] += (double)without->rgb[g][c];
-            }
-        const double ya = 0.2126 * a[0] + 0.7152 * a[1] + 0.0722 * a[2], yb = 0.2126 * b[0] + 0.7152 * b[1] + 0.0722 * b[2];
-        double change = !(ya > 0) ? 0 : k < 0 ? yb / ya - 1 : !(yb > 0) ? 1 : b[k] / yb - a[k] / ya;
-        if (fabs(change) < 1e-12) /* of equal colours: the rounding of sums of integers below 2^53 and of these quotients */
-            change = 0;
-        if (left_out < 0)
-            value = change;
-        else
-            each[left_out] = change;
+    double a[GROUPS] = {0}, b[GROUPS] = {0}, each[GROUPS], all_a = 0, all_b = 0;
+    for (int g = 0; g < GROUPS; ++g) {
+        for (int c = 0; c < CELLS; ++c) {
+            a[g] += (double)with->cells[FAR][g][c];
+            b[g] += (double)without->cells[FAR][g][c];
+        }
+        all_a += a[g];
+        all_b += b[g];
     }
-    return (bake_change){value, jackknife(each)};
+    for (int g = 0; g < GROUPS; ++g)
+        each[g] = all_a - a[g] > 0 ? (all_b - b[g]) / (all_a - a[g]) - 1 : 0;
+    const double value = all_a > 0 ? all_b / all_a - 1 : 0, error = jackknife(each);
+    return (bake_change){value, error, error > 0 ? fabs(value) / error : 0};
 }
 
 static void measure(const census *with, const census *without, bake_plan_entry *e)
 {
-    double far_bound, near_bound;
-    e->far_field = rms_change(with->far_field, without->far_field, &far_bound);
-    e->near_field = rms_change(with->near_field, without->near_field, &near_bound);
-    e->flux = total_change(with, without, -1);
-    e->colour = (bake_change){0, 0};
-    double colour_bound = 0;
-    for (int k = 0; k < 3; ++k) {
-        const bake_change c = total_change(with, without, k);
-        if (fabs(c.value) + 2 * c.error > colour_bound) {
-            colour_bound = fabs(c.value) + 2 * c.error;
-            e->colour = c;
-        }
-    }
-    e->bound = fmax(fmax(far_bound, near_bound), fmax(fabs(e->flux.value) + 2 * e->flux.error, colour_bound));
+    bake_change blue;
+    const double far_bound = rms_change(with, without, FAR, &e->far_field);
+    const double near_bound = rms_change(with, without, NEAR, &e->near_field);
+    const double red_bound = rms_change(with, without, RED, &e->colour);
+    const double blue_bound = rms_change(with, without, BLUE, &blue);
+    if (blue_bound > red_bound)
+        e->colour = blue;
+    e->flux = flux_change(with, without);
+    e->bound = fmax(fmax(far_bound, near_bound), fmax(fabs(e->flux.value) + 2 * e->flux.error, fmax(red_bound, blue_bound)));
     e->measured = true;
 }
 
@@ -229,18 +253,21 @@ static lmg_result measure_without(const lum_model *model, const bake_source *tra
     return result;
 }
 
-/* How much the light of a share of the photons can change at most, in all of the measures: if it all went from one of CELLS cells to
- * another, their RMS changed by sqrt(2 CELLS) of the share. */
+/* How much the light of a share of the photons can change at most, by coarse cells: if it all went from one to another of them, which
+ * are lit alike, their RMS changed by sqrt(2 COARSE_CELLS) of the share. */
 static double largest_change(double share)
 {
-    return sqrt(2.0 * CELLS) * share;
+    return sqrt(2.0 * COARSE_CELLS) * share;
 }
 
 /* ----------------------------------------------------------------------------------------------------------- decisions */
 
+/* Of the five or so changes looked at, none passes by chance: four standard errors (p < 1e-4 each). */
+static const double SHOWN_SIGMAS = 4;
+
 static bool shows(const bake_change *c, double error)
 {
-    return fabs(c->value) > error && fabs(c->value) > 3 * c->error;
+    return fabs(c->value) > error && c->sigmas > SHOWN_SIGMAS;
 }
 
 static void decide(bake_plan *plan)
@@ -269,7 +296,7 @@ static void decide(bake_plan *plan)
                                            shows(&e->near_field, plan->error) || shows(&e->colour, plan->error));
             snprintf(e->why, sizeof(e->why), "%s",
                      e->simulated  ? "shown to matter"
-                     : e->measured ? "not shown to matter: no change beyond three standard errors and the error asked for"
+                     : e->measured ? "not shown to matter: no change beyond four standard errors and the error asked for"
                                    : "no light meets two surfaces that polarize");
         } else if (!stand_in) {
             snprintf(e->why, sizeof(e->why), "nothing simpler could take its place");
@@ -373,11 +400,8 @@ lmg_result bake_plan_make(const lum_model *model, const bake_source *tracer, uin
         const bool all = BAKE_EMISSION_BITS >> e->effect & 1 || !bake_effect_stand_in(e->effect);
         /* never met: of 3/n it would have been with 95 % */
         e->bound = all ? 1 : largest_change(met > 0 ? met + 2 * e->met_error : 3 / n);
-        if (!all && met > 0 && survey.escaped > 0) {
-            const double by_share = e->bound;
+        if (!all && met > 0 && survey.escaped > 0)
             result = measure_without(model, tracer, seed, o, with, without, plan, e, err);
-            e->bound = fmin(e->bound, by_share);
-        }
     }
     free(with);
     free(without);

@@ -15,9 +15,10 @@
 #include "source.h"
 #include "tracer.h"
 
-/* A relative change and its standard error. */
+/* A relative change and its standard error.  Of an RMS, whose square has the symmetric error, it is half the way to the upper bound. */
 typedef struct bake_change {
     double value, error;
+    double sigmas; /* by how many standard errors it (its square) is above zero */
 } bake_change;
 
 typedef struct bake_plan_entry {
@@ -25,9 +26,10 @@ typedef struct bake_plan_entry {
     bool simulated, measured;    /* measured: the changes are */
     double met, met_error;       /* share of the emitted photons that meet it */
     bake_change flux;            /* of the light that leaves the luminaire, relative */
-    bake_change far_field;       /* RMS over 96 directions, relative, flux-weighted, noise subtracted */
-    bake_change near_field;      /* the same over 96 places of the bounds where it leaves them */
-    bake_change colour;          /* of the largest of R/Y, G/Y, B/Y of all light */
+    /* RMS over 6,144 (3 degrees) or 96 cells, relative, flux-weighted, noise subtracted; the one with the higher bound */
+    bake_change far_field;       /* luminance by direction */
+    bake_change near_field;      /* by the place of the bounds where light leaves them */
+    bake_change colour;          /* R - Y or B - Y by direction */
     double bound;                /* upper limit of the largest change (two standard errors) */
     double seconds_without;      /* per photon and thread, when it is left out; depends on the machine */
     char why[160];

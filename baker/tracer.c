@@ -229,6 +229,8 @@ lmg_result bake_tracer_create_with(const struct lum_model *model, uint32_t effec
         uint32_t features = needed_features(t->model, t->media);
         if (!(effects & 1u << BAKE_POLARIZATION))
             features &= ~TRACER_POLARIZATION;
+        t->features = features;
+        t->polarized = features & TRACER_POLARIZATION;
         t->kernel = choose_kernel(features);
         if (bake_is_spectral(t->model))
             result = bake_spectral_create(t->model, &t->spectral, err);
@@ -293,6 +295,15 @@ lmg_result bake_tracer_survey(const bake_source *source, uint64_t first, uint64_
     free(effects);
     free(ended);
     return result;
+}
+
+bool bake_tracer_use_kernel(bake_source *source, size_t index)
+{
+    tracer *t = (tracer *)source;
+    if (index >= tracer_kernel_count || (t->features & ~tracer_kernels[index]->features) != 0)
+        return false;
+    t->kernel = tracer_kernels[index];
+    return true;
 }
 
 const char *bake_tracer_kernel(const bake_source *source)

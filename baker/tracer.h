@@ -18,6 +18,10 @@ size_t bake_tracer_record(const bake_source *tracer, uint64_t first, uint64_t co
 /* The name of the kernel that runs (tracer_kernels.c). */
 const char *bake_tracer_kernel(const bake_source *tracer);
 
+/* Runs on kernel number `index` instead.  False, and nothing changes, when there is none, or it lacks a feature that is
+ * needed.  Every kernel that serves a model gives the same rays. */
+bool bake_tracer_use_kernel(bake_source *tracer, size_t index);
+
 /* What paths meet: how many of them each effect, and how many end at each material (on its surface, absorbed). */
 typedef struct bake_survey {
     uint64_t photons, escaped, segments;

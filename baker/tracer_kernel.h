@@ -546,7 +546,7 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, lum_surface 
 #endif
     lum_polarization *polarization = NULL;
 #if KERNEL_FEATURES & TRACER_POLARIZATION
-    polarization = &p->polarization;
+    polarization = t->polarized ? &p->polarization : NULL;
 #endif
     const lmg_vec3 d = w->direction[i], wi = {-d.x, -d.y, -d.z};
     lum_scattered s;

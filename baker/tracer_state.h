@@ -58,6 +58,8 @@ typedef struct tracer {
     lum_volumes *volumes; /* outside of solids; NULL = none */
     double near;          /* with media: how far beyond a scattering surfaces are looked for, so that none is passed by rounding */
     bake_spectral *spectral; /* NULL: light of this model has R,G,B */
+    uint32_t features; /* needed for what is simulated */
+    bool polarized;    /* polarization is */
     const tracer_kernel *kernel;
     uint64_t seed;
 } tracer;
