@@ -33,6 +33,11 @@ static const char *const NAMES[BAKE_EFFECT_COUNT] = {
     [BAKE_SPECTRA] = "spectra",
     [BAKE_FLUORESCENCE] = "fluorescence",
     [BAKE_POLARIZATION] = "polarization",
+    [BAKE_SPECULAR] = "specular",
+    [BAKE_CLEARCOAT] = "clearcoat",
+    [BAKE_SHEEN] = "sheen",
+    [BAKE_ANISOTROPY] = "anisotropy",
+    [BAKE_IRIDESCENCE] = "iridescence",
 };
 
 const char *bake_effect_name(bake_effect effect)
@@ -44,6 +49,15 @@ static uint32_t bit(bake_effect effect)
 {
     return 1u << effect;
 }
+
+static const struct {
+    lum_layer layer;
+    bake_effect effect;
+} layers[] = {{LUM_LAYER_SPECULAR, BAKE_SPECULAR},
+              {LUM_LAYER_CLEARCOAT, BAKE_CLEARCOAT},
+              {LUM_LAYER_SHEEN, BAKE_SHEEN},
+              {LUM_LAYER_ANISOTROPY, BAKE_ANISOTROPY},
+              {LUM_LAYER_IRIDESCENCE, BAKE_IRIDESCENCE}};
 
 uint32_t bake_effects_of_material(const lum_material *m)
 {
@@ -67,15 +81,20 @@ uint32_t bake_effects_of_material(const lum_material *m)
     if (m->kind == LUM_SURFACE_PBR || m->has_eta)
         e |= bit(BAKE_POLARIZATION);
     const bool smooth = m->roughness * m->roughness < LUM_SMOOTH;
-    if (m->normal_texture.image != LUM_NONE)
+    const bool coat_normals = m->layers.present & LUM_LAYER_CLEARCOAT && m->layers.clearcoat_normal_texture.image != LUM_NONE;
+    if (m->normal_texture.image != LUM_NONE || coat_normals)
         e |= bit(BAKE_NORMAL_MAPS);
     if (m->kind == LUM_SURFACE_CONDUCTOR) {
         if (!m->has_eta && smooth)
             return e | bit(BAKE_MIRROR);
         return e | bit(smooth ? BAKE_CONDUCTOR_SMOOTH : BAKE_CONDUCTOR_ROUGH);
     }
-    if (m->base_texture.image != LUM_NONE || m->metal_rough_texture.image != LUM_NONE || m->transmission_texture.image != LUM_NONE)
+    lum_material plain = *m;
+    plain.normal_texture.image = plain.layers.clearcoat_normal_texture.image = LUM_NONE; /* an effect of its own */
+    if (lum_material_is_textured(&plain))
         e |= bit(BAKE_TEXTURES);
+    for (size_t i = 0; i < sizeof layers / sizeof *layers; ++i)
+        e |= m->layers.present & layers[i].layer ? bit(layers[i].effect) : 0;
     if (m->metallic > 0)
         e |= bit(smooth ? BAKE_CONDUCTOR_SMOOTH : BAKE_CONDUCTOR_ROUGH);
     /* A texture can take metallic and transmission anywhere below its factor. */
@@ -173,6 +192,16 @@ const char *bake_effect_stand_in(bake_effect effect)
         return "nothing converted";
     case BAKE_POLARIZATION:
         return "unpolarized at each surface";
+    case BAKE_SPECULAR:
+        return "the reflection that the index gives";
+    case BAKE_CLEARCOAT:
+        return "no clear coat";
+    case BAKE_SHEEN:
+        return "no fibres";
+    case BAKE_ANISOTROPY:
+        return "alike in all directions";
+    case BAKE_IRIDESCENCE:
+        return "no film";
     default:
         return NULL;
     }
@@ -211,10 +240,35 @@ static void flatten_textures(const lum_model *model, lum_material *m)
         m->metallic *= mean[2];
         m->metal_rough_texture.image = LUM_NONE;
     }
-    if (textured(&m->transmission_texture)) {
-        mean_texel(model, &m->transmission_texture, mean);
-        m->transmission *= mean[0];
-        m->transmission_texture.image = LUM_NONE;
+    lum_layers *l = &m->layers;
+    const struct {
+        lum_texture *texture;
+        int channel; /* the first */
+        float *values;
+        int count;
+    } others[] = {{&m->transmission_texture, 0, &m->transmission, 1},
+                  {&m->diffuse_transmission_texture, 3, &m->diffuse_transmission, 1},
+                  {&m->diffuse_transmission_color_texture, 0, m->diffuse_transmission_color, 3},
+                  {&l->specular_texture, 3, &l->specular, 1},
+                  {&l->specular_color_texture, 0, l->specular_color, 3},
+                  {&l->clearcoat_texture, 0, &l->clearcoat, 1},
+                  {&l->clearcoat_roughness_texture, 1, &l->clearcoat_roughness, 1},
+                  {&l->sheen_color_texture, 0, l->sheen_color, 3},
+                  {&l->sheen_roughness_texture, 3, &l->sheen_roughness, 1},
+                  {&l->anisotropy_texture, 2, &l->anisotropy, 1},
+                  {&l->iridescence_texture, 0, &l->iridescence, 1}};
+    for (size_t i = 0; i < sizeof others / sizeof *others; ++i) {
+        if (!textured(others[i].texture))
+            continue;
+        mean_texel(model, others[i].texture, mean);
+        for (int c = 0; c < others[i].count; ++c)
+            others[i].values[c] *= mean[others[i].channel + c];
+        others[i].texture->image = LUM_NONE;
+    }
+    if (textured(&l->thickness_texture)) {
+        mean_texel(model, &l->thickness_texture, mean);
+        l->thickness_max = l->thickness_min + mean[1] * (l->thickness_max - l->thickness_min);
+        l->thickness_texture.image = LUM_NONE;
     }
 }
 
@@ -223,8 +277,11 @@ static void strip_material(const lum_model *model, uint32_t keep, lum_material *
     const uint32_t drop = bake_effects_of_material(m) & ~keep;
     if (drop & bit(BAKE_COVERAGE))
         m->alpha_mode = LUM_ALPHA_OPAQUE;
+    for (size_t i = 0; i < sizeof layers / sizeof *layers; ++i)
+        if (drop & bit(layers[i].effect))
+            m->layers.present &= ~(uint32_t)layers[i].layer;
     if (drop & bit(BAKE_NORMAL_MAPS))
-        m->normal_texture.image = LUM_NONE;
+        m->normal_texture.image = m->layers.clearcoat_normal_texture.image = LUM_NONE;
     if (drop & bit(BAKE_TEXTURES))
         flatten_textures(model, m);
     if (drop & bit(BAKE_ABSORPTION))
@@ -248,7 +305,7 @@ static void strip_material(const lum_model *model, uint32_t keep, lum_material *
         m->base_color[3] = 1 - m->transmission;
         m->transmission = 0;
     }
-    if (drop & bit(BAKE_COAT) && m->metallic == 0 && m->transmission == 0)
+    if (drop & bit(BAKE_COAT) && m->metallic == 0 && m->transmission == 0 && m->layers.present == 0)
         m->kind = LUM_SURFACE_LAMBERT;
 }
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * The effects of light: which ones a luminaire contains, found by looking at the materials that its triangles use; where; and the same
- * luminaire with some of them left out, by simpler stand-ins.
+ * The effects of light: which ones a luminaire contains, found by looking at the materials that its triangles use; where; and the
+ * same luminaire with some of them left out, by simpler stand-ins.
  */
 #ifndef BAKER_EFFECTS_H
 #define BAKER_EFFECTS_H
@@ -36,11 +36,17 @@ typedef enum bake_effect {
     BAKE_SPECTRA,      /* surfaces and solids that act by wavelength */
     BAKE_FLUORESCENCE, /* phosphors */
     BAKE_POLARIZATION, /* photons keep their polarization from one surface to the next */
-    BAKE_EFFECT_COUNT  /* at most 31 */
+    BAKE_SPECULAR,     /* the dielectric's reflection weakened or coloured */
+    BAKE_CLEARCOAT,
+    BAKE_SHEEN,
+    BAKE_ANISOTROPY,
+    BAKE_IRIDESCENCE,
+    BAKE_EFFECT_COUNT /* at most 31 */
 } bake_effect;
 
 /* What a source shows by itself: can't be left out. */
-#define BAKE_EMISSION_BITS (1u << BAKE_EMISSION_AREA | 1u << BAKE_EMISSION_TEXTURED | 1u << BAKE_EMISSION_POINT | 1u << BAKE_EMISSION_SPOT)
+#define BAKE_EMISSION_BITS                                                                                                         \
+    (1u << BAKE_EMISSION_AREA | 1u << BAKE_EMISSION_TEXTURED | 1u << BAKE_EMISSION_POINT | 1u << BAKE_EMISSION_SPOT)
 
 const char *bake_effect_name(bake_effect effect);
 
@@ -55,8 +61,8 @@ void bake_effects_print(uint32_t effects, char *text, size_t size);
 /* Reads such a list (comma separated, spaces allowed).  Errors: LMG_ERROR_ARGUMENT for a word that is no effect. */
 lmg_result bake_effects_parse(const char *text, uint32_t *effects, lmg_error *err);
 
-/* What takes an effect's place when it is left out ("untextured, mean colours"), NULL where nothing simpler can: then leaving it out
- * would save nothing, and it is always simulated. */
+/* What takes an effect's place when it is left out ("untextured, mean colours"), NULL where nothing simpler can: then leaving it
+ * out would save nothing, and it is always simulated. */
 const char *bake_effect_stand_in(bake_effect effect);
 
 /*

@@ -138,11 +138,6 @@ static tracer_medium *list_media(const lum_model *model)
     return media;
 }
 
-static bool textured(const lum_texture *t)
-{
-    return t->image != LUM_NONE;
-}
-
 /* The features that the model's materials call for. */
 static uint32_t needed_features(const lum_model *model, const tracer_medium *media)
 {
@@ -150,8 +145,7 @@ static uint32_t needed_features(const lum_model *model, const tracer_medium *med
                         (bake_is_spectral(model) ? TRACER_SPECTRAL : 0);
     for (uint32_t i = 0; i < model->material_count; ++i) {
         const lum_material *m = &model->materials[i];
-        if (textured(&m->base_texture) || textured(&m->metal_rough_texture) || textured(&m->normal_texture) ||
-            textured(&m->transmission_texture))
+        if (lum_material_is_textured(m))
             features |= TRACER_TEXTURES;
         if (m->alpha_mode != LUM_ALPHA_OPAQUE)
             features |= TRACER_COVERAGE;

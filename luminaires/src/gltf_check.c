@@ -42,6 +42,7 @@ typedef struct rule {
 #define ANY -INFINITY, INFINITY
 #define FRACTION 0, 1
 #define POSITIVE 0, INFINITY
+#define FROM_ONE 1, INFINITY
 /* The largest integer that a double, and so every JSON reader, keeps exactly. */
 #define EXACT 9007199254740992.0
 #define END                                                                                                                        \
@@ -124,12 +125,38 @@ static const rule diffuse_transmission_rules[] = {NUMBER("diffuseTransmissionFac
                                                   OBJECT("diffuseTransmissionTexture", false, texture_use_rules),
                                                   NUMBERS("diffuseTransmissionColorFactor", 3, FRACTION),
                                                   OBJECT("diffuseTransmissionColorTexture", false, texture_use_rules), END};
+static const rule specular_rules[] = {NUMBER("specularFactor", FRACTION), OBJECT("specularTexture", false, texture_use_rules),
+                                      NUMBERS("specularColorFactor", 3, POSITIVE),
+                                      OBJECT("specularColorTexture", false, texture_use_rules), END};
+static const rule clearcoat_rules[] = {NUMBER("clearcoatFactor", FRACTION),
+                                       OBJECT("clearcoatTexture", false, texture_use_rules),
+                                       NUMBER("clearcoatRoughnessFactor", FRACTION),
+                                       OBJECT("clearcoatRoughnessTexture", false, texture_use_rules),
+                                       OBJECT("clearcoatNormalTexture", false, texture_use_rules),
+                                       END};
+static const rule sheen_rules[] = {NUMBERS("sheenColorFactor", 3, FRACTION), OBJECT("sheenColorTexture", false, texture_use_rules),
+                                   NUMBER("sheenRoughnessFactor", FRACTION),
+                                   OBJECT("sheenRoughnessTexture", false, texture_use_rules), END};
+static const rule anisotropy_rules[] = {NUMBER("anisotropyStrength", FRACTION), NUMBER("anisotropyRotation", ANY),
+                                        OBJECT("anisotropyTexture", false, texture_use_rules), END};
+static const rule iridescence_rules[] = {NUMBER("iridescenceFactor", FRACTION),
+                                         OBJECT("iridescenceTexture", false, texture_use_rules),
+                                         NUMBER("iridescenceIor", FROM_ONE),
+                                         NUMBER("iridescenceThicknessMinimum", POSITIVE),
+                                         NUMBER("iridescenceThicknessMaximum", POSITIVE),
+                                         OBJECT("iridescenceThicknessTexture", false, texture_use_rules),
+                                         END};
 static const rule material_extensions[] = {OBJECT("KHR_materials_emissive_strength", false, emissive_strength_rules),
                                            OBJECT("KHR_materials_ior", false, ior_rules),
                                            OBJECT("KHR_materials_dispersion", false, dispersion_rules),
                                            OBJECT("KHR_materials_transmission", false, transmission_rules),
                                            OBJECT("KHR_materials_volume", false, volume_rules),
                                            OBJECT("KHR_materials_diffuse_transmission", false, diffuse_transmission_rules),
+                                           OBJECT("KHR_materials_specular", false, specular_rules),
+                                           OBJECT("KHR_materials_clearcoat", false, clearcoat_rules),
+                                           OBJECT("KHR_materials_sheen", false, sheen_rules),
+                                           OBJECT("KHR_materials_anisotropy", false, anisotropy_rules),
+                                           OBJECT("KHR_materials_iridescence", false, iridescence_rules),
                                            OBJECT("KHR_materials_unlit", false, nothing),
                                            END};
 static const rule metallic_rules[] = {NUMBERS("baseColorFactor", 4, FRACTION),
@@ -256,6 +283,9 @@ static const rule root_rules[] = {OBJECT("asset", true, asset_rules),
 static const char *const understood[] = {"KHR_texture_transform",  "KHR_materials_emissive_strength",
                                          "KHR_materials_ior",      "KHR_materials_transmission",
                                          "KHR_materials_volume",   "KHR_materials_diffuse_transmission",
+                                          "KHR_materials_specular", "KHR_materials_clearcoat",
+                                          "KHR_materials_sheen",    "KHR_materials_anisotropy",
+                                          "KHR_materials_iridescence",
                                          "KHR_materials_unlit",    "KHR_lights_punctual",
                                          "KHR_mesh_quantization",  "KHR_materials_variants",
                                          "EXT_mesh_gpu_instancing", "KHR_materials_dispersion"};

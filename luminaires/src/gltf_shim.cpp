@@ -115,6 +115,43 @@ void copy(const std::vector<double> &from, double *to, size_t count)
         to[i] = from[i];
 }
 
+void layers(const tinygltf::Material &from, gltf_material &to)
+{
+    const Value *e = extension(from.extensions, "KHR_materials_specular");
+    to.specular = e ? number(*e, "specularFactor", 1) : 1;
+    for (double &c : to.specular_color)
+        c = 1;
+    if (e)
+        numbers(*e, "specularColorFactor", to.specular_color, 3);
+    to.specular_texture = texture_use(e, "specularTexture");
+    to.specular_color_texture = texture_use(e, "specularColorTexture");
+    e = extension(from.extensions, "KHR_materials_clearcoat");
+    to.clearcoat = e ? number(*e, "clearcoatFactor", 0) : 0;
+    to.clearcoat_roughness = e ? number(*e, "clearcoatRoughnessFactor", 0) : 0;
+    to.clearcoat_texture = texture_use(e, "clearcoatTexture");
+    to.clearcoat_roughness_texture = texture_use(e, "clearcoatRoughnessTexture");
+    to.clearcoat_normal_texture = texture_use(e, "clearcoatNormalTexture");
+    if (to.clearcoat_normal_texture.texture >= 0)
+        to.clearcoat_normal_texture.strength = number(e->Get("clearcoatNormalTexture"), "scale", 1);
+    e = extension(from.extensions, "KHR_materials_sheen");
+    if (e)
+        numbers(*e, "sheenColorFactor", to.sheen_color, 3);
+    to.sheen_roughness = e ? number(*e, "sheenRoughnessFactor", 0) : 0;
+    to.sheen_color_texture = texture_use(e, "sheenColorTexture");
+    to.sheen_roughness_texture = texture_use(e, "sheenRoughnessTexture");
+    e = extension(from.extensions, "KHR_materials_anisotropy");
+    to.anisotropy = e ? number(*e, "anisotropyStrength", 0) : 0;
+    to.anisotropy_rotation = e ? number(*e, "anisotropyRotation", 0) : 0;
+    to.anisotropy_texture = texture_use(e, "anisotropyTexture");
+    e = extension(from.extensions, "KHR_materials_iridescence");
+    to.iridescence = e ? number(*e, "iridescenceFactor", 0) : 0;
+    to.iridescence_ior = e ? number(*e, "iridescenceIor", 1.3) : 1.3;
+    to.iridescence_thickness_min = e ? number(*e, "iridescenceThicknessMinimum", 100) : 100;
+    to.iridescence_thickness_max = e ? number(*e, "iridescenceThicknessMaximum", 400) : 400;
+    to.iridescence_texture = texture_use(e, "iridescenceTexture");
+    to.iridescence_thickness_texture = texture_use(e, "iridescenceThicknessTexture");
+}
+
 gltf_material material(const tinygltf::Material &from)
 {
     gltf_material to = {};
@@ -161,6 +198,7 @@ gltf_material material(const tinygltf::Material &from)
         numbers(*e, "diffuseTransmissionColorFactor", to.diffuse_transmission_color, 3);
     to.diffuse_transmission_texture = texture_use(e, "diffuseTransmissionTexture");
     to.diffuse_transmission_color_texture = texture_use(e, "diffuseTransmissionColorTexture");
+    layers(from, to);
     to.unlit = from.extensions.count("KHR_materials_unlit") != 0;
     return to;
 }

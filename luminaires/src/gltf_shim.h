@@ -67,6 +67,16 @@ typedef struct gltf_material {
     gltf_texture_use thickness_texture;
     double diffuse_transmission, diffuse_transmission_color[3];
     gltf_texture_use diffuse_transmission_texture, diffuse_transmission_color_texture;
+    double specular, specular_color[3];
+    gltf_texture_use specular_texture, specular_color_texture;
+    double clearcoat, clearcoat_roughness;
+    gltf_texture_use clearcoat_texture, clearcoat_roughness_texture, clearcoat_normal_texture;
+    double sheen_color[3], sheen_roughness;
+    gltf_texture_use sheen_color_texture, sheen_roughness_texture;
+    double anisotropy, anisotropy_rotation;
+    gltf_texture_use anisotropy_texture;
+    double iridescence, iridescence_ior, iridescence_thickness_min, iridescence_thickness_max; /* nm */
+    gltf_texture_use iridescence_texture, iridescence_thickness_texture;
 } gltf_material;
 
 typedef struct gltf_morph_target {

@@ -285,8 +285,7 @@ static double thin_wall(double mu, double eta, double unused)
     return lum_fresnel_thin(mu, eta);
 }
 
-/* The set for these parameters, made if it isn't there yet.  alpha < 0: all roughnesses. */
-static const lum_lobe_set *find_set(lum_table_store *store, lum_lobe_kind kind, float eta, float alpha, bool *failed)
+const lum_lobe_set *lum_lobe_set_find(lum_table_store *store, lum_lobe_kind kind, float eta, float alpha, bool *failed)
 {
     alpha = alpha >= 0 && alpha < LUM_SMOOTH ? 0 : alpha;
     for (size_t i = 0; i < store->set_count; i++) {
@@ -337,13 +336,16 @@ static void fill_tables(lum_table_store *store, const lum_material *m, const flo
     bool transmits = pbr && m->transmission > 0;
     t->media = 0;
     if (rough && (m->kind == LUM_SURFACE_CONDUCTOR || (pbr && m->metallic > 0) || (transmits && m->thin))) {
-        t->metal = find_set(store, LUM_LOBE_METAL, 0, alpha, failed);
+        t->metal = lum_lobe_set_find(store, LUM_LOBE_METAL, 0, alpha, failed);
     }
     for (int c = 0; c < 3; c++) {
         t->metal_average[c] = m->has_eta ? (float)hemisphere_mean(lum_fresnel_conductor, (double)m->eta[c], (double)m->k[c]) : 1;
     }
     if (!pbr) {
         return;
+    }
+    if (m->layers.present) {
+        lum_layer_tables_fill(store, m, t, failed);
     }
     for (int i = 0; i < media_count; i++) {
         lum_medium_tables *medium = &t->medium[t->media++];
@@ -352,11 +354,11 @@ static void fill_tables(lum_table_store *store, const lum_material *m, const flo
         medium->fresnel_average = hemisphere_mean(smooth_boundary, (double)eta, 0);
         medium->thin_average = hemisphere_mean(thin_wall, (double)eta, 0);
         if (m->metallic < 1 || varies) {
-            medium->coat = find_set(store, LUM_LOBE_COAT, eta, alpha, failed);
+            medium->coat = lum_lobe_set_find(store, LUM_LOBE_COAT, eta, alpha, failed);
         }
         if (rough && transmits && !m->thin) {
-            medium->outside = find_set(store, LUM_LOBE_BOUNDARY, eta, alpha, failed);
-            medium->inside = find_set(store, LUM_LOBE_BOUNDARY, 1 / eta, alpha, failed);
+            medium->outside = lum_lobe_set_find(store, LUM_LOBE_BOUNDARY, eta, alpha, failed);
+            medium->inside = lum_lobe_set_find(store, LUM_LOBE_BOUNDARY, 1 / eta, alpha, failed);
         }
     }
 }
@@ -391,9 +393,13 @@ void lum_tables_destroy(lum_table_store *store)
     for (size_t i = 0; i < store->set_count; i++) {
         free(store->sets[i]);
     }
+    for (size_t i = 0; i < store->cosine_set_count; i++) {
+        free(store->cosine_sets[i]);
+    }
+    free(store->cosine_sets);
+    free(store->sheen);
+    free(store->film);
     free(store->sets);
     free(store->tables);
-    store->sets = NULL;
-    store->tables = NULL;
-    store->set_count = 0;
+    *store = (lum_table_store){0};
 }

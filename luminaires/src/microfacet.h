@@ -49,6 +49,25 @@ typedef enum lum_lobe_kind {
     LUM_LOBE_BOUNDARY = 2 /* E: single reflection and single transmission of a dielectric */
 } lum_lobe_kind;
 
+/*
+ * How much light one reflection on the facets sends back by the cosine c that it meets the facet with: so that for any reflectance
+ * F(c) of the facets E(mu) = sum over k of F(k / LUM_COSINE_STEPS) share[k] (F linear in between).  Over sqrt(mu).
+ */
+enum { LUM_COSINE_STEPS = 64, LUM_COSINE_NODES = 64 };
+typedef struct lum_cosine_rows {
+    float share[LUM_COSINE_NODES + 1][LUM_COSINE_STEPS + 1];
+} lum_cosine_rows;
+
+typedef struct lum_cosine_set {
+    float alpha; /* of a set with one element */
+    int count;   /* 1, or LUM_LOBE_COMPUTED_ROUGHNESSES + 1 over roughness */
+    lum_cosine_rows rows[];
+} lum_cosine_set;
+
+/* E at every node (sqrt(mu) = j / LUM_COSINE_NODES) for the reflectance f at the steps. */
+void lum_cosine_albedos(const lum_cosine_set *set, double alpha, const float f[LUM_COSINE_STEPS + 1],
+                        float albedo[LUM_COSINE_NODES + 1]);
+
 /* For one index of the medium outside. */
 typedef struct lum_medium_tables {
     float eta_outside;
@@ -66,6 +85,15 @@ struct lum_tables {
     float metal_average[3];    /* Fresnel reflectance of eta, k over the cosine-weighted hemisphere */
     int media;
     lum_medium_tables medium[LUM_MAX_MEDIA];
+    /* Of materials with layers; NULL if not needed. */
+    const lum_cosine_set *cosines; /* of the dielectric interface over the base */
+    const lum_lobe_set *clearcoat;
+    const struct lum_sheen_table *sheen;
+    const struct lum_film_table *film;
+    /* Of the interface over the diffuse base, for the material in air, if no texture changes it (lum_prepare_layers): E at the
+     * nodes of a lum_cosine_set, and T of scatter_layers.c; 0 = not known. */
+    float base_albedo[LUM_COSINE_NODES + 1];
+    double base_total;
 };
 
 /* All tables of a model: one lum_tables per material, lobe sets shared. */
@@ -73,6 +101,10 @@ typedef struct lum_table_store {
     struct lum_tables *tables;
     lum_lobe_set **sets;
     size_t set_count;
+    lum_cosine_set **cosine_sets;
+    size_t cosine_set_count;
+    struct lum_sheen_table *sheen;
+    struct lum_film_table *film;
 } lum_table_store;
 
 /* 1 - E and 1 - E_avg at a roughness. */
@@ -108,6 +140,10 @@ static inline float lum_lobe_floor(const lum_lobe_set *set, double alpha, double
     return a < b ? a : b;
 }
 
+/* layer_tables.c: what the material's layers need. */
+void lum_layer_tables_fill(lum_table_store *store, const lum_material *material, struct lum_tables *tables, bool *failed);
+/* The set for these parameters, made if it isn't there yet.  alpha < 0: all roughnesses. */
+const lum_lobe_set *lum_lobe_set_find(lum_table_store *store, lum_lobe_kind kind, float eta, float alpha, bool *failed);
 /* The single-scattering albedo E(mu) by quadrature: what the tables hold. n: points per dimension. */
 double lum_lobe_albedo(lum_lobe_kind kind, double alpha, double eta, double mu, int n);
 
@@ -210,6 +246,38 @@ static inline double facets_keep_refracted(const facets *f, lmg_vec3 o)
 {
     double z = -o.z;
     return z > 0 ? 2 * z / (z + facets_b(f, o)) : 0;
+}
+
+/* Density of a single reflection towards o (local), reflectance 1: visible normals, times G2/G1, times dh/dwo = 1 / (4 c).  *c:
+ * cosine with the facet. */
+static inline double facets_reflected_density(const facets *f, lmg_vec3 o, double *c)
+{
+    *c = 1;
+    if (!(o.z > 0 && f->wi.z > 0)) {
+        return 0;
+    }
+    lmg_vec3 h = vec_unit(vec_add(f->wi, o));
+    *c = fmin(vec_dot(f->wi, h), 1);
+    return facets_d(f, h) * o.z / (2 * (f->b * o.z + facets_b(f, o) * f->wi.z));
+}
+
+/* Density of a single refraction by the relative index eta, transmittance 1. */
+static inline double facets_refracted_density(const facets *f, double eta, lmg_vec3 o, double *c)
+{
+    *c = 1;
+    if (!(o.z < 0 && f->wi.z > 0)) {
+        return 0;
+    }
+    lmg_vec3 h = vec_along(f->wi, o, eta);
+    h = vec_scale(h, (h.z > 0 ? 1 : -1) / vec_length(h));
+    double ci = vec_dot(f->wi, h), co = vec_dot(o, h);
+    if (!(ci > 0 && co < 0)) {
+        return 0;
+    }
+    *c = fmin(ci, 1);
+    double j = ci + eta * co;
+    /* Visible normals D G1 ci / wi.z, times G1(wo), times dh/dwo. */
+    return facets_d(f, h) * ci * eta * eta * -co * 4 * -o.z / ((f->wi.z + f->b) * (facets_b(f, o) - o.z) * j * j);
 }
 
 static inline lmg_vec3 facets_to_model(const facets *f, lmg_vec3 w)

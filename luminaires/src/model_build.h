@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* A model under construction: shared by the files that turn a glTF document into a lum_model, in this order:
- * model.c (the whole), model_nodes.c -> model_mesh.c, model_material.c, model_finish.c, recipe_apply.c, mesh_check.c, model_warn.c.
+ * model.c (the whole), model_nodes.c -> model_mesh.c, model_material.c (with model_layers.c), model_finish.c, recipe_apply.c, mesh_check.c, model_warn.c.
  */
 #ifndef LUMINAIRES_MODEL_BUILD_H
 #define LUMINAIRES_MODEL_BUILD_H
@@ -58,6 +58,11 @@ lmg_result lum_build_primitive(lum_build *b, int32_t node, int32_t mesh, uint32_
 /* model_material.c: the document's materials, those that no part uses left empty, and last glTF's default material; their images.
  */
 lmg_result lum_build_materials(lum_build *b);
+lmg_result lum_build_texture(lum_build *b, const gltf_texture_use *use, bool srgb, lum_texture *out);
+
+/* model_layers.c: no layers; those of a material, called `name` in messages. */
+void lum_layers_none(lum_layers *layers);
+lmg_result lum_build_layers(lum_build *b, const char *name, const gltf_material *from, lum_layers *to);
 
 /* model_finish.c: centre, rounding to float, degenerate triangles, tangents, bounds. */
 lmg_result lum_build_finish(lum_build *b);

@@ -65,7 +65,7 @@ static uint8_t wrap_mode(int32_t gl)
     return gl == 33071 ? LUM_WRAP_CLAMP : gl == 33648 ? LUM_WRAP_MIRROR : LUM_WRAP_REPEAT;
 }
 
-static lmg_result build_texture(lum_build *b, const gltf_texture_use *use, bool srgb, lum_texture *out)
+lmg_result lum_build_texture(lum_build *b, const gltf_texture_use *use, bool srgb, lum_texture *out)
 {
     *out = (lum_texture){.image = LUM_NONE, .m = {{1, 0, 0}, {0, 1, 0}}};
     if (use->texture < 0)
@@ -119,7 +119,10 @@ static void clean_defaults(lum_material *m)
                         .metal_rough_texture = none,
                         .normal_texture = none,
                         .transmission_texture = none,
+                        .diffuse_transmission_texture = none,
+                        .diffuse_transmission_color_texture = none,
                         .emissive_texture = none};
+    lum_layers_none(&m->layers);
 }
 
 static lmg_result convert(lum_build *b, const gltf_material *from, uint32_t index, lum_material *to)
@@ -134,10 +137,10 @@ static lmg_result convert(lum_build *b, const gltf_material *from, uint32_t inde
     to->alpha_cutoff = (float)from->alpha_cutoff;
     to->double_sided = from->double_sided;
     to->emits_back = from->double_sided;
-    LUM_TRY(build_texture(b, &from->base_texture, true, &to->base_texture));
+    LUM_TRY(lum_build_texture(b, &from->base_texture, true, &to->base_texture));
     if (from->metallic > 0 || from->roughness > 0)
-        LUM_TRY(build_texture(b, &from->metal_rough_texture, false, &to->metal_rough_texture));
-    LUM_TRY(build_texture(b, &from->normal_texture, false, &to->normal_texture));
+        LUM_TRY(lum_build_texture(b, &from->metal_rough_texture, false, &to->metal_rough_texture));
+    LUM_TRY(lum_build_texture(b, &from->normal_texture, false, &to->normal_texture));
     to->normal_scale = (float)from->normal_texture.strength;
 
     bool emits = false;
@@ -149,7 +152,7 @@ static lmg_result convert(lum_build *b, const gltf_material *from, uint32_t inde
         emits = emits || to->emissive[i] > 0;
     }
     if (emits)
-        LUM_TRY(build_texture(b, &from->emissive_texture, true, &to->emissive_texture));
+        LUM_TRY(lum_build_texture(b, &from->emissive_texture, true, &to->emissive_texture));
 
     if (from->has_ior && from->ior < 1)
         return lmg_fail(b->err, LMG_ERROR_UNSUPPORTED, "material \"%.60s\": ior %g is below 1; give a refractive index from 1 on",
@@ -167,16 +170,15 @@ static lmg_result convert(lum_build *b, const gltf_material *from, uint32_t inde
     }
     to->transmission = (float)from->transmission;
     if (from->transmission > 0)
-        LUM_TRY(build_texture(b, &from->transmission_texture, false, &to->transmission_texture));
+        LUM_TRY(lum_build_texture(b, &from->transmission_texture, false, &to->transmission_texture));
     to->diffuse_transmission = (float)from->diffuse_transmission;
     for (int i = 0; i < 3; i++)
         to->diffuse_transmission_color[i] = (float)from->diffuse_transmission_color[i];
-    if (from->diffuse_transmission > 0 &&
-        (from->diffuse_transmission_texture.texture >= 0 || from->diffuse_transmission_color_texture.texture >= 0))
-        lum_warn(b,
-                 "material \"%.60s\": its diffuse transmission is taken without its texture; recipe entry \"diffuse_transmission\" "
-                 "can set it",
-                 to->name);
+    if (from->diffuse_transmission > 0) {
+        LUM_TRY(lum_build_texture(b, &from->diffuse_transmission_texture, false, &to->diffuse_transmission_texture));
+        LUM_TRY(lum_build_texture(b, &from->diffuse_transmission_color_texture, true, &to->diffuse_transmission_color_texture));
+    }
+    LUM_TRY(lum_build_layers(b, to->name, from, &to->layers));
     to->thin = !(from->has_volume && from->thickness > 0);
     if (!to->thin && isfinite(from->attenuation_distance) && from->attenuation_distance > 0)
         for (int i = 0; i < 3; i++)

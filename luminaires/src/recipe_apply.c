@@ -127,6 +127,8 @@ static void plain(lum_material *m)
 {
     const lum_texture none = {.image = LUM_NONE, .m = {{1, 0, 0}, {0, 1, 0}}};
     m->base_texture = m->metal_rough_texture = m->transmission_texture = none;
+    m->diffuse_transmission_texture = m->diffuse_transmission_color_texture = none;
+    lum_layers_none(&m->layers);
     m->alpha_mode = LUM_ALPHA_OPAQUE;
     m->metallic = 0;
     m->transmission = m->diffuse_transmission = 0;

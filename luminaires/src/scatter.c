@@ -7,6 +7,7 @@
  * whether it gets through, which it mostly does; only light that is reflected looks for a facet.
  */
 #include "polarization.h"
+#include "scatter_layers.h"
 
 #include <luminaires/rng.h>
 
@@ -117,7 +118,7 @@ INLINE void sample_base(const lum_surface *surface, const side *at, const lum_lo
 {
     bool through = choose(&azimuth, (double)surface->diffuse_transmission);
     double q = coat ? lum_lobe_sample_flat(coat, (double)surface->alpha, x, y) : x;
-    set_weight(out, through ? surface->material->diffuse_transmission_color : surface->base);
+    set_weight(out, through ? surface->through : surface->base);
     leave_diffusely(at, through, azimuth, q, pol, out);
 }
 
@@ -214,9 +215,8 @@ INLINE void sample_coated(const lum_surface *surface, const side *at, lmg_vec3 w
 
 /* -------------------------------------------------------------------------------------------------------------- glass */
 
-/* Light that one bounce on the facets of a rough clear dielectric loses. */
-static void sample_repeated(const lum_surface *surface, const side *at, const lum_medium_tables *tables, double eta,
-                            const double xi[4], lum_polarization *pol, lum_scattered *out)
+void lum_sample_repeated(const lum_surface *surface, const side *at, const lum_medium_tables *tables, double eta,
+                         const double xi[4], lum_polarization *pol, lum_scattered *out)
 {
     double alpha = (double)surface->alpha;
     const lum_lobe_set *same = surface->tables->metal, *other = same;
@@ -271,7 +271,7 @@ INLINE void sample_clear(const lum_surface *surface, const side *at, lmg_vec3 wi
         if (rough) {
             lmg_vec3 o = facet_reflected(&g, &h);
             if (!facets_keep_reflected(&g, o, xi[2])) {
-                sample_repeated(surface, at, tables, eta, xi, pol, out);
+                lum_sample_repeated(surface, at, tables, eta, xi, pol, out);
                 return;
             }
             wo = facets_to_model(&g, o);
@@ -298,7 +298,7 @@ INLINE void sample_clear(const lum_surface *surface, const side *at, lmg_vec3 wi
     }
     wo = vec_along(vec_scale(d, 1 / eta), m, c / eta - f.ct);
     if (rough && !(xi[2] < facets_keep_refracted(&g, facets_to_local(&g, wo)))) {
-        sample_repeated(surface, at, tables, eta, xi, pol, out);
+        lum_sample_repeated(surface, at, tables, eta, xi, pol, out);
         return;
     }
     set_weight(out, surface->base);
@@ -318,7 +318,7 @@ void lum_scatter_trace(const lum_surface *surface, lmg_vec3 wi, float eta_outsid
     switch (surface->kind) {
     case LUM_SURFACE_LAMBERT: {
         bool through = choose(&u, (double)surface->diffuse_transmission);
-        set_weight(out, through ? surface->material->diffuse_transmission_color : surface->base);
+        set_weight(out, through ? surface->through : surface->base);
         leave_diffusely(&at, through, xi[0], xi[1], pol, out);
         return;
     }
@@ -326,6 +326,10 @@ void lum_scatter_trace(const lum_surface *surface, lmg_vec3 wi, float eta_outsid
         sample_metal(surface, &at, wi, xi, u, pol, out);
         return;
     case LUM_SURFACE_PBR: {
+        if (surface->layers_present) {
+            lum_sample_layers(surface, &at, wi, eta_outside, xi, pol, out);
+            return;
+        }
         if (choose(&u, (double)surface->metallic)) {
             sample_metal(surface, &at, wi, xi, u, pol, out);
             return;

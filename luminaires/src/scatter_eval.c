@@ -1,55 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Densities of scattering at surfaces: what lum_scatter_sample samples, as a function of both directions.  The model is described
  * in scatter_parts.h. */
-#include "scatter_parts.h"
+#include "scatter_layers.h"
 
 #include <string.h>
 
-/* Densities of the lobes about the shading normal at wo, in the frame of wi: reflection for wo on its side, else transmission. */
-typedef struct density {
-    double pdf; /* of directions, all reflectances 1 */
-    double p[3];
-} density;
-
-INLINE void add(density *sum, double pdf, const float weight[3])
-{
-    sum->pdf += pdf;
-    for (int i = 0; i < 3; i++) {
-        sum->p[i] += pdf * (double)weight[i];
-    }
-}
-
 static const float white[3] = {1, 1, 1};
-
-/* Density of a single reflection on microfacets towards o (local), reflectance 1: visible normals, times G2/G1, times dh/dwo = 1 /
- * (4 c).  *c: cosine with the facet. */
-INLINE double reflected_density(const facets *f, lmg_vec3 o, double *c)
-{
-    *c = 1;
-    if (!(o.z > 0 && f->wi.z > 0)) {
-        return 0;
-    }
-    lmg_vec3 h = vec_unit(vec_add(f->wi, o));
-    *c = fmin(vec_dot(f->wi, h), 1);
-    return facets_d(f, h) * o.z / (2 * (f->b * o.z + facets_b(f, o) * f->wi.z));
-}
-
-/* Density of a single refraction, transmittance 1 - F included. */
-INLINE double refracted_density(const facets *f, double eta, lmg_vec3 o)
-{
-    if (!(o.z < 0 && f->wi.z > 0)) {
-        return 0;
-    }
-    lmg_vec3 h = vec_along(f->wi, o, eta);
-    h = vec_scale(h, (h.z > 0 ? 1 : -1) / vec_length(h));
-    double ci = vec_dot(f->wi, h), co = vec_dot(o, h);
-    if (!(ci > 0 && co < 0)) {
-        return 0;
-    }
-    double j = ci + eta * co, reflected = lum_fresnel_dielectric(ci, eta);
-    /* Visible normals D G1 ci / wi.z, times 1 - F, times G1(wo), times dh/dwo. */
-    return facets_d(f, h) * ci * (1 - reflected) * eta * eta * -co * 4 * -o.z / ((f->wi.z + f->b) * (facets_b(f, o) - o.z) * j * j);
-}
 
 /* The lobes about the shading normal, towards wo.  Shares of the mixture: metal, clear, coated. */
 static void add_facets(const lum_surface *surface, const facets *f, lmg_vec3 wo, double eta, bool coat, const double share[3],
@@ -59,7 +15,7 @@ static void add_facets(const lum_surface *surface, const facets *f, lmg_vec3 wo,
     lmg_vec3 o = facets_to_local(f, wo);
     bool thin = surface->material->thin;
     if (o.z > 0) {
-        double d = reflected_density(f, o, &c);
+        double d = facets_reflected_density(f, o, &c);
         if (share[0] > 0) {
             float r[3] = {surface->base[0], surface->base[1], surface->base[2]};
             if (surface->material->has_eta) {
@@ -67,28 +23,42 @@ static void add_facets(const lum_surface *surface, const facets *f, lmg_vec3 wo,
                     r[k] = (float)lum_fresnel_conductor(c, (double)surface->material->eta[k], (double)surface->material->k[k]);
                 }
             }
-            add(sum, share[0] * d, r);
+            density_add(sum, share[0] * d, r);
         }
         if (share[1] > 0) {
-            add(sum, share[1] * d * (thin ? lum_fresnel_thin(c, eta) : lum_fresnel_dielectric(c, eta)), white);
+            density_add(sum, share[1] * d * (thin ? lum_fresnel_thin(c, eta) : lum_fresnel_dielectric(c, eta)), white);
         }
         if (share[2] > 0 && coat) {
-            add(sum, share[2] * d * lum_fresnel_dielectric(c, eta), white);
+            density_add(sum, share[2] * d * lum_fresnel_dielectric(c, eta), white);
         }
     } else if (share[1] > 0) {
         if (thin) {
-            double d = reflected_density(f, vec(o.x, o.y, -o.z), &c);
-            add(sum, share[1] * d * (1 - lum_fresnel_thin(c, eta)), surface->base);
+            double d = facets_reflected_density(f, vec(o.x, o.y, -o.z), &c);
+            density_add(sum, share[1] * d * (1 - lum_fresnel_thin(c, eta)), surface->base);
         } else {
-            add(sum, share[1] * refracted_density(f, eta, o), surface->base);
+            double d = facets_refracted_density(f, eta, o, &c);
+            density_add(sum, share[1] * d * (1 - lum_fresnel_dielectric(c, eta)), surface->base);
         }
     }
 }
 
-/* Density of a lobe of microfacet.h. */
-INLINE double rest_density(const lum_lobe_set *set, double alpha, double mu)
+void lum_add_repeated(const lum_surface *surface, const side *at, const lum_medium_tables *tables, double eta, double mu,
+                      bool above, double share, density *sum)
 {
-    return lum_lobe_rest(set, alpha, mu) * mu / (LUM_PI * lum_lobe_total(set, alpha));
+    double alpha = (double)surface->alpha;
+    const lum_lobe_set *same = surface->tables->metal, *other = same;
+    double through = 1 - tables->thin_average;
+    if (!surface->material->thin) {
+        same = at->front ? tables->outside : tables->inside;
+        other = at->front ? tables->inside : tables->outside;
+        through = repeated_through(tables, alpha, eta, at->front);
+    }
+    double rest = share * lum_lobe_rest(same, alpha, at->ci);
+    if (above) {
+        density_add(sum, rest * (1 - through) * rest_density(same, alpha, mu), white);
+    } else {
+        density_add(sum, rest * through * rest_density(other, alpha, mu), surface->base);
+    }
 }
 
 static density density_of(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, float eta_outside)
@@ -104,9 +74,13 @@ static density density_of(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, 
     if (co == 0) {
         return sum;
     }
+    if (surface->layers_present) {
+        lum_add_layers(surface, &at, wi, wo, eta_outside, &sum);
+        return sum;
+    }
     if (surface->kind == LUM_SURFACE_LAMBERT) {
         double d = (double)surface->diffuse_transmission;
-        add(&sum, (above ? 1 - d : d) * mu / LUM_PI, above ? surface->base : material->diffuse_transmission_color);
+        density_add(&sum, (above ? 1 - d : d) * mu / LUM_PI, above ? surface->base : surface->through);
         return sum;
     }
     if (surface->kind == LUM_SURFACE_CONDUCTOR) {
@@ -159,30 +133,18 @@ static density density_of(const lum_surface *surface, lmg_vec3 wi, lmg_vec3 wo, 
                     weight[i] = repeated(average[i], lost);
                 }
                 double rest = lum_lobe_rest(surface->tables->metal, alpha, at.ci);
-                add(&sum, share[0] * rest * rest_density(surface->tables->metal, alpha, mu), weight);
+                density_add(&sum, share[0] * rest * rest_density(surface->tables->metal, alpha, mu), weight);
             }
         }
         if (share[1] > 0) {
-            const lum_lobe_set *same = surface->tables->metal, *other = same;
-            double through = 1 - tables->thin_average;
-            if (!material->thin) {
-                same = at.front ? tables->outside : tables->inside;
-                other = at.front ? tables->inside : tables->outside;
-                through = repeated_through(tables, alpha, across, at.front);
-            }
-            double rest = share[1] * lum_lobe_rest(same, alpha, at.ci);
-            if (above) {
-                add(&sum, rest * (1 - through) * rest_density(same, alpha, mu), white);
-            } else {
-                add(&sum, rest * through * rest_density(other, alpha, mu), surface->base);
-            }
+            lum_add_repeated(surface, &at, tables, across, mu, above, share[1], &sum);
         }
     }
     if (share[2] > 0) {
         double enters = coat ? (rough ? lum_lobe_rest(coat, alpha, at.ci) : 1 - lum_fresnel_dielectric(at.ci, across)) : 1;
         double d = (double)surface->diffuse_transmission;
         double lobe = coat ? rest_density(coat, alpha, mu) : mu / LUM_PI;
-        add(&sum, share[2] * enters * (above ? 1 - d : d) * lobe, above ? surface->base : material->diffuse_transmission_color);
+        density_add(&sum, share[2] * enters * (above ? 1 - d : d) * lobe, above ? surface->base : surface->through);
     }
     return sum;
 }

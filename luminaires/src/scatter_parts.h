@@ -128,4 +128,31 @@ INLINE const lum_lobe_set *coat_of(const lum_surface *surface, const lum_medium_
     return from_inside ? NULL : tables->coat;
 }
 
+/* Densities of lobes at a direction wo. */
+typedef struct density {
+    double pdf; /* of directions, all reflectances 1 */
+    double p[3];
+} density;
+
+INLINE void density_add(density *sum, double pdf, const float weight[3])
+{
+    sum->pdf += pdf;
+    for (int i = 0; i < 3; i++) {
+        sum->p[i] += pdf * (double)weight[i];
+    }
+}
+
+/* Of a lobe of microfacet.h. */
+INLINE double rest_density(const lum_lobe_set *set, double alpha, double mu)
+{
+    return lum_lobe_rest(set, alpha, mu) * mu / (LUM_PI * lum_lobe_total(set, alpha));
+}
+
+/* Light that one bounce on the facets of a rough clear dielectric loses.  eta: relative index across.  scatter.c, scatter_eval.c.
+ */
+void lum_sample_repeated(const lum_surface *surface, const side *at, const lum_medium_tables *tables, double eta,
+                         const double xi[4], lum_polarization *pol, lum_scattered *out);
+void lum_add_repeated(const lum_surface *surface, const side *at, const lum_medium_tables *tables, double eta, double mu,
+                      bool above, double share, density *sum);
+
 #endif

@@ -4,13 +4,34 @@
  * untextured one is a copy.
  */
 #include "scene_data.h"
+#include "scatter_layers.h"
 
+#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 
 static bool textured(const lum_texture *t)
 {
     return t->image != LUM_NONE;
+}
+
+static float squared(float x)
+{
+    return x * x;
+}
+
+static void fill_layers(const lum_material *m, lum_surface_layers *s)
+{
+    const lum_layers *l = &m->layers;
+    s->specular = l->specular;
+    memcpy(s->specular_color, l->specular_color, sizeof s->specular_color);
+    s->clearcoat = l->clearcoat;
+    s->clearcoat_alpha = squared(l->clearcoat_roughness);
+    memcpy(s->sheen, l->sheen_color, sizeof s->sheen);
+    s->sheen_alpha = squared(l->sheen_roughness);
+    s->iridescence = l->iridescence;
+    s->film_ior = l->iridescence_ior;
+    s->film_nm = l->thickness_max;
 }
 
 lmg_result lum_shading_create(lum_scene *scene, lmg_error *err)
@@ -33,15 +54,19 @@ lmg_result lum_shading_create(lum_scene *scene, lmg_error *err)
         s->ior = m->ior;
         s->transmission = m->transmission;
         s->diffuse_transmission = m->diffuse_transmission;
+        memcpy(s->through, m->diffuse_transmission_color, sizeof s->through);
         s->coverage = m->alpha_mode == LUM_ALPHA_BLEND  ? m->base_color[3]
                       : m->alpha_mode == LUM_ALPHA_MASK ? (m->base_color[3] >= m->alpha_cutoff ? 1.0f : 0.0f)
                                                         : 1.0f;
         memcpy(s->emission, m->emissive, sizeof s->emission);
         s->front = true;
         shading->emissive = m->emissive[0] != 0 || m->emissive[1] != 0 || m->emissive[2] != 0;
-        shading->fetch = textured(&m->base_texture) || textured(&m->metal_rough_texture) || textured(&m->normal_texture) ||
-                         textured(&m->transmission_texture) || (textured(&m->emissive_texture) && shading->emissive) ||
-                         model->colors;
+        s->layers_present = m->kind == LUM_SURFACE_PBR ? m->layers.present : 0;
+        fill_layers(m, &s->layers);
+        if (s->layers_present) {
+            lum_prepare_layers(s, &scene->tables.tables[i]);
+        }
+        shading->fetch = lum_material_is_textured(m) || (textured(&m->emissive_texture) && shading->emissive) || model->colors;
     }
     return LMG_OK;
 }
@@ -92,44 +117,123 @@ static bool tangent_at(const lum_model *model, const lum_hit *hit, int set, lmg_
     return vec_dot(*tangent, *tangent) > 0;
 }
 
-static void apply_normal_map(const lum_model *model, const lum_hit *hit, const float uv0[2], const float uv1[2], lum_surface *s)
+/* The same as unit vectors perpendicular to the normal n: tangent and bitangent. */
+static bool tangent_frame(const lum_model *model, const lum_hit *hit, int set, lmg_vec3 n, lmg_vec3 *t, lmg_vec3 *b)
 {
-    const lum_texture *texture = &s->material->normal_texture;
-    float texel[4];
-    lum_texture_fetch(model, texture, uv0, uv1, texel);
-    double scale = (double)s->material->normal_scale;
-    double x = (2 * (double)texel[0] - 1) * scale, y = (2 * (double)texel[1] - 1) * scale, z = 2 * (double)texel[2] - 1;
-    lmg_vec3 t;
     double hand;
-    if (!tangent_at(model, hit, texture->coordinates, &t, &hand)) {
-        return;
+    if (!tangent_at(model, hit, set, t, &hand)) {
+        return false;
     }
-    t = vec_along(t, s->ns, -vec_dot(t, s->ns));
-    double length = vec_length(t);
+    *t = vec_along(*t, n, -vec_dot(*t, n));
+    double length = vec_length(*t);
     if (!(length > 0)) {
-        return;
+        return false;
     }
-    t = vec_scale(t, 1 / length);
-    lmg_vec3 b = vec_scale(vec_cross(s->ns, t), hand);
-    lmg_vec3 n = vec_along(vec_along(vec_scale(t, x), b, y), s->ns, z);
-    length = vec_length(n);
-    /* A map that tips the normal below the triangle is ignored there. */
-    if (length > 0 && vec_dot(n, s->ng) > 0) {
-        s->ns = vec_scale(n, 1 / length);
-        s->tilted = true;
+    *t = vec_scale(*t, 1 / length);
+    *b = vec_scale(vec_cross(n, *t), hand);
+    return true;
+}
+
+/* The normal n tipped by a normal map; false where the map says nothing or tips it below the triangle. */
+static bool map_normal(const lum_model *model, const lum_hit *hit, const lum_texture *texture, float scale_xy, const float uv[2][2],
+                       lmg_vec3 n, lmg_vec3 *out)
+{
+    float texel[4];
+    lum_texture_fetch(model, texture, uv[0], uv[1], texel);
+    double scale = (double)scale_xy;
+    double x = (2 * (double)texel[0] - 1) * scale, y = (2 * (double)texel[1] - 1) * scale, z = 2 * (double)texel[2] - 1;
+    lmg_vec3 t, b;
+    if (!tangent_frame(model, hit, texture->coordinates, n, &t, &b)) {
+        return false;
+    }
+    lmg_vec3 tipped = vec_along(vec_along(vec_scale(t, x), b, y), n, z);
+    double length = vec_length(tipped);
+    if (!(length > 0 && vec_dot(tipped, hit->ng) > 0)) {
+        return false;
+    }
+    *out = vec_scale(tipped, 1 / length);
+    return true;
+}
+
+/* One channel of a texture, 1 where there is none. */
+static float channel(const lum_model *model, const lum_texture *texture, const float uv[2][2], int i)
+{
+    float texel[4] = {1, 1, 1, 1};
+    if (textured(texture)) {
+        lum_texture_fetch(model, texture, uv[0], uv[1], texel);
+    }
+    return texel[i];
+}
+
+static void times_texture(const lum_model *model, const lum_texture *texture, const float uv[2][2], float rgb[3])
+{
+    float texel[4];
+    if (textured(texture)) {
+        lum_texture_fetch(model, texture, uv[0], uv[1], texel);
+        for (int c = 0; c < 3; c++) {
+            rgb[c] *= texel[c];
+        }
     }
 }
 
-static void fetch_textures(const lum_model *model, const lum_hit *hit, lum_surface *s)
+/* The layers at a hit: textures, and the directions that depend on the normal. */
+static void fetch_layers(const lum_model *model, const lum_hit *hit, const float uv[2][2], lmg_vec3 plain, lum_surface *s)
+{
+    const lum_layers *m = &s->material->layers;
+    lum_surface_layers *l = &s->layers;
+    if (m->present & LUM_LAYER_SPECULAR) {
+        l->specular *= channel(model, &m->specular_texture, uv, 3);
+        times_texture(model, &m->specular_color_texture, uv, l->specular_color);
+    }
+    if (m->present & LUM_LAYER_CLEARCOAT) {
+        l->clearcoat *= channel(model, &m->clearcoat_texture, uv, 0);
+        l->clearcoat_alpha *= squared(channel(model, &m->clearcoat_roughness_texture, uv, 1));
+        l->clearcoat_normal = plain;
+        if (textured(&m->clearcoat_normal_texture)) {
+            map_normal(model, hit, &m->clearcoat_normal_texture, m->clearcoat_normal_scale, uv, plain, &l->clearcoat_normal);
+        }
+    }
+    if (m->present & LUM_LAYER_SHEEN) {
+        times_texture(model, &m->sheen_color_texture, uv, l->sheen);
+        l->sheen_alpha *= squared(channel(model, &m->sheen_roughness_texture, uv, 3));
+    }
+    if (m->present & LUM_LAYER_IRIDESCENCE) {
+        l->iridescence *= channel(model, &m->iridescence_texture, uv, 0);
+        float g = channel(model, &m->thickness_texture, uv, 1);
+        l->film_nm = m->thickness_min + g * (m->thickness_max - m->thickness_min);
+    }
+    if (m->present & LUM_LAYER_ANISOTROPY) {
+        double angle = (double)m->anisotropy_rotation, x = cos(angle), y = sin(angle);
+        float strength = m->anisotropy;
+        if (textured(&m->anisotropy_texture)) {
+            float texel[4];
+            lum_texture_fetch(model, &m->anisotropy_texture, uv[0], uv[1], texel);
+            double u = 2 * (double)texel[0] - 1, v = 2 * (double)texel[1] - 1, turned = x * u - y * v;
+            y = y * u + x * v;
+            x = turned;
+            strength *= texel[2];
+        }
+        lmg_vec3 t, b;
+        /* Without a direction on the surface there is no anisotropy. */
+        bool known =
+            tangent_frame(model, hit, textured(&m->anisotropy_texture) ? m->anisotropy_texture.coordinates : 0, s->ns, &t, &b);
+        double length = hypot(x, y);
+        l->alpha_along = s->alpha;
+        if (known && length > 0) {
+            l->tangent = vec_along(vec_scale(t, x / length), b, y / length);
+            l->alpha_along = s->alpha + (1 - s->alpha) * strength * strength;
+        } else {
+            lmg_vec3 unused;
+            vec_frame(s->ns, &l->tangent, &unused);
+        }
+    }
+}
+
+static void fetch_textures(const lum_model *model, const lum_hit *hit, const float uv[2][2], lum_surface *s)
 {
     const lum_material *m = s->material;
-    float uv0[2] = {0, 0}, uv1[2] = {0, 0}, texel[4];
-    if (model->uv[0]) {
-        interpolate(model, hit, model->uv[0], 2, uv0);
-    }
-    if (model->uv[1]) {
-        interpolate(model, hit, model->uv[1], 2, uv1);
-    }
+    const float *uv0 = uv[0], *uv1 = uv[1];
+    float texel[4];
     float alpha = m->base_color[3];
     if (textured(&m->base_texture)) {
         lum_texture_fetch(model, &m->base_texture, uv0, uv1, texel);
@@ -156,18 +260,34 @@ static void fetch_textures(const lum_model *model, const lum_hit *hit, lum_surfa
         s->alpha = roughness * roughness;
         s->metallic *= texel[2];
     }
-    if (textured(&m->transmission_texture)) {
-        lum_texture_fetch(model, &m->transmission_texture, uv0, uv1, texel);
-        s->transmission *= texel[0];
-    }
+    s->transmission *= channel(model, &m->transmission_texture, uv, 0);
+    s->diffuse_transmission *= channel(model, &m->diffuse_transmission_texture, uv, 3);
+    times_texture(model, &m->diffuse_transmission_color_texture, uv, s->through);
     if (textured(&m->emissive_texture) && (s->emission[0] != 0 || s->emission[1] != 0 || s->emission[2] != 0)) {
         lum_texture_fetch(model, &m->emissive_texture, uv0, uv1, texel);
         for (int c = 0; c < 3; c++) {
             s->emission[c] *= texel[c];
         }
     }
-    if (textured(&m->normal_texture)) {
-        apply_normal_map(model, hit, uv0, uv1, s);
+    if (textured(&m->normal_texture) && map_normal(model, hit, &m->normal_texture, m->normal_scale, uv, s->ns, &s->ns)) {
+        s->tilted = true;
+    }
+}
+
+static void fetch_at(const lum_model *model, const lum_hit *hit, bool textures, lum_surface *s)
+{
+    float uv[2][2] = {{0, 0}, {0, 0}};
+    for (int k = 0; k < 2; k++) {
+        if (model->uv[k]) {
+            interpolate(model, hit, model->uv[k], 2, uv[k]);
+        }
+    }
+    lmg_vec3 plain = s->ns; /* before the normal map, which a clear coat levels out */
+    if (textures) {
+        fetch_textures(model, hit, (const float(*)[2])uv, s);
+    }
+    if (s->layers_present) {
+        fetch_layers(model, hit, (const float(*)[2])uv, plain, s);
     }
 }
 
@@ -175,7 +295,11 @@ void lum_surface_at(const lum_scene *scene, const lum_hit *hit, lmg_vec3 d, lum_
 {
     const lum_triangle *triangle = &scene->triangles[hit->triangle];
     const lum_shading *shading = &scene->shading[triangle->material & LUM_TRIANGLE_MATERIAL];
-    *out = shading->surface;
+    if (shading->surface.layers_present) {
+        *out = shading->surface;
+    } else {
+        memcpy(out, &shading->surface, offsetof(lum_surface, layers));
+    }
     out->ng = hit->ng;
     out->front = vec_dot(d, hit->ng) < 0;
     out->ns = hit->ng;
@@ -186,16 +310,16 @@ void lum_surface_at(const lum_scene *scene, const lum_hit *hit, lmg_vec3 d, lum_
                           b0 * (double)n[0][1] + b1 * (double)n[1][1] + b2 * (double)n[2][1],
                           b0 * (double)n[0][2] + b1 * (double)n[1][2] + b2 * (double)n[2][2]);
         /* Vertex normals that point to the back mean the other side of the same curve; ones along the triangle mean nothing. */
-        double side = vec_dot(ns, hit->ng), length2 = vec_dot(ns, ns);
-        if (side * side > 1e-6 * length2) {
-            out->ns = vec_scale(ns, copysign(1 / sqrt(length2), side));
+        double towards = vec_dot(ns, hit->ng), length2 = vec_dot(ns, ns);
+        if (towards * towards > 1e-6 * length2) {
+            out->ns = vec_scale(ns, copysign(1 / sqrt(length2), towards));
             out->tilted = true;
         }
     }
     if (shading->emissive && !out->front && !out->material->emits_back) {
         out->emission[0] = out->emission[1] = out->emission[2] = 0;
     }
-    if (shading->fetch) {
-        fetch_textures(scene->model, hit, out);
+    if (shading->fetch || out->layers_present) {
+        fetch_at(scene->model, hit, shading->fetch, out);
     }
 }

@@ -51,3 +51,31 @@ void lum_texture_fetch(const lum_model *model, const lum_texture *tex, const flo
         rgba[i] = top + fy * (bottom - top);
     }
 }
+
+bool lum_material_is_textured(const lum_material *m)
+{
+    const lum_layers *l = &m->layers;
+    const struct {
+        uint32_t layer; /* that the texture belongs to; 0 = the material itself */
+        const lum_texture *texture;
+    } all[] = {{0, &m->base_texture},
+               {0, &m->metal_rough_texture},
+               {0, &m->normal_texture},
+               {0, &m->transmission_texture},
+               {0, &m->diffuse_transmission_texture},
+               {0, &m->diffuse_transmission_color_texture},
+               {LUM_LAYER_SPECULAR, &l->specular_texture},
+               {LUM_LAYER_SPECULAR, &l->specular_color_texture},
+               {LUM_LAYER_CLEARCOAT, &l->clearcoat_texture},
+               {LUM_LAYER_CLEARCOAT, &l->clearcoat_roughness_texture},
+               {LUM_LAYER_CLEARCOAT, &l->clearcoat_normal_texture},
+               {LUM_LAYER_SHEEN, &l->sheen_color_texture},
+               {LUM_LAYER_SHEEN, &l->sheen_roughness_texture},
+               {LUM_LAYER_ANISOTROPY, &l->anisotropy_texture},
+               {LUM_LAYER_IRIDESCENCE, &l->iridescence_texture},
+               {LUM_LAYER_IRIDESCENCE, &l->thickness_texture}};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++)
+        if ((all[i].layer == 0 || (l->present & all[i].layer)) && all[i].texture->image != LUM_NONE)
+            return true;
+    return false;
+}

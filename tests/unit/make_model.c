@@ -65,6 +65,11 @@ uint32_t make_material(lum_model *model, lum_surface_kind kind)
         m->diffuse_transmission_color[c] = 1;
     }
     m->base_texture = m->metal_rough_texture = m->normal_texture = m->transmission_texture = m->emissive_texture = no_texture();
+    m->diffuse_transmission_texture = m->diffuse_transmission_color_texture = no_texture();
+    lum_layers *l = &m->layers;
+    l->specular_texture = l->specular_color_texture = l->clearcoat_texture = l->clearcoat_roughness_texture = no_texture();
+    l->clearcoat_normal_texture = l->sheen_color_texture = l->sheen_roughness_texture = l->anisotropy_texture = no_texture();
+    l->iridescence_texture = l->thickness_texture = no_texture();
     return model->material_count++;
 }
 

@@ -380,7 +380,7 @@ static void material_values(void **state)
         "\"KHR_materials_transmission\":{\"transmissionFactor\":0.5},\"KHR_materials_diffuse_transmission\":{"
         "\"diffuseTransmissionFactor\":0.125},"
         "\"KHR_materials_volume\":{\"thicknessFactor\":0.01,\"attenuationDistance\":0.5,\"attenuationColor\":[0.5,0.25,1]},"
-        "\"KHR_materials_sheen\":{}}",
+        "\"KHR_materials_nothing_known\":{}}",
         "");
     const lum_material *a = &m->materials[0];
     for (int i = 0; i < 4; i++)
@@ -398,11 +398,78 @@ static void material_values(void **state)
     assert_close((double)a->absorption[0], log(2) / 0.5, 1e-6);
     assert_close((double)a->absorption[1], log(4) / 0.5, 1e-6);
     assert_close((double)a->absorption[2], 0, 0);
-    assert_true(gltf_warned(m, "KHR_materials_sheen"));
+    assert_true(gltf_warned(m, "KHR_materials_nothing_known"));
     lum_model_destroy(m);
     m = load_material("\"extensions\":{\"KHR_materials_transmission\":{\"transmissionFactor\":1}}", "");
     assert_true(m->materials[0].thin); /* no volume: infinitely thin, as the extension says */
     lum_model_destroy(m);
+}
+
+static void material_layers(void **state)
+{
+    (void)state;
+    lum_model *m =
+        load_material("\"extensions\":{\"KHR_materials_specular\":{\"specularFactor\":0.25,\"specularColorFactor\":[0.5,1,2]},"
+                      "\"KHR_materials_clearcoat\":{\"clearcoatFactor\":0.75,\"clearcoatRoughnessFactor\":0.125},"
+                      "\"KHR_materials_sheen\":{\"sheenColorFactor\":[0.25,0.5,1],\"sheenRoughnessFactor\":0.375},"
+                      "\"KHR_materials_anisotropy\":{\"anisotropyStrength\":0.5,\"anisotropyRotation\":1.5},"
+                      "\"KHR_materials_iridescence\":{\"iridescenceFactor\":0.625,\"iridescenceIor\":1.375,"
+                      "\"iridescenceThicknessMinimum\":50,\"iridescenceThicknessMaximum\":450}}",
+                      "");
+    const lum_layers *l = &m->materials[0].layers;
+    assert_int_equal(l->present, 31);
+    assert_close((double)l->specular, 0.25, 0);
+    assert_close((double)l->specular_color[2], 2, 0);
+    assert_close((double)l->clearcoat, 0.75, 0);
+    assert_close((double)l->clearcoat_roughness, 0.125, 0);
+    assert_close((double)l->sheen_color[1], 0.5, 0);
+    assert_close((double)l->sheen_roughness, 0.375, 0);
+    assert_close((double)l->anisotropy, 0.5, 0);
+    assert_close((double)l->anisotropy_rotation, 1.5, 0);
+    assert_close((double)l->iridescence, 0.625, 0);
+    assert_close((double)l->iridescence_ior, 1.375, 0);
+    assert_close((double)l->thickness_min, 50, 0);
+    assert_close((double)l->thickness_max, 450, 0);
+    assert_false(gltf_warned(m, "KHR_materials"));
+    lum_model_destroy(m);
+    /* The extensions' defaults are no layers. */
+    m = load_material("\"extensions\":{\"KHR_materials_specular\":{},\"KHR_materials_clearcoat\":{},\"KHR_materials_sheen\":{},"
+                      "\"KHR_materials_anisotropy\":{},\"KHR_materials_iridescence\":{}}",
+                      "");
+    assert_int_equal(m->materials[0].layers.present, 0);
+    lum_model_destroy(m);
+}
+
+static void layers_out_of_range(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *extension, *says;
+    } bad[] = {
+        {"\"KHR_materials_clearcoat\":{\"clearcoatFactor\":1.5}", "clearcoatFactor"},
+        {"\"KHR_materials_clearcoat\":{\"clearcoatRoughnessFactor\":-0.5}", "clearcoatRoughnessFactor"},
+        {"\"KHR_materials_sheen\":{\"sheenColorFactor\":[0,2,0]}", "sheenColorFactor"},
+        {"\"KHR_materials_sheen\":{\"sheenRoughnessFactor\":7}", "sheenRoughnessFactor"},
+        {"\"KHR_materials_anisotropy\":{\"anisotropyStrength\":-1}", "anisotropyStrength"},
+        {"\"KHR_materials_specular\":{\"specularFactor\":2}", "specularFactor"},
+        {"\"KHR_materials_specular\":{\"specularColorFactor\":[-1,0,0]}", "specularColorFactor"},
+        {"\"KHR_materials_iridescence\":{\"iridescenceIor\":0.5}", "iridescenceIor"},
+        {"\"KHR_materials_iridescence\":{\"iridescenceFactor\":1,\"iridescenceIor\":9}", "[1, 4]"},
+        {"\"KHR_materials_iridescence\":{\"iridescenceFactor\":1,\"iridescenceThicknessMaximum\":1e6}", "nanometre"},
+        {"\"KHR_materials_clearcoat\":{\"clearcoatFactor\":1,\"clearcoatTexture\":{\"index\":5}}", "index"},
+    };
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        char *rest =
+            gltf_text("\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0},\"indices\":1,\"material\":0}]}]," ONE_NODE
+                      ",\"materials\":[{\"name\":\"M\",\"extensions\":{%s}}]",
+                      bad[i].extension);
+        char *text = tetrahedron_document(rest);
+        const char *message = gltf_refuse("layers.gltf", text, NULL, LMG_ERROR_INPUT);
+        if (!strstr(message, bad[i].says))
+            fail_msg("case %zu: %s", i, message);
+        free(rest);
+        free(text);
+    }
 }
 
 /* ------------------------------------------------------------------------------------------------------------ textures */
@@ -716,6 +783,8 @@ int main(void)
         cmocka_unit_test(morphs_and_instances),
         cmocka_unit_test(material_defaults),
         cmocka_unit_test(material_values),
+        cmocka_unit_test(material_layers),
+        cmocka_unit_test(layers_out_of_range),
         cmocka_unit_test(textures),
         cmocka_unit_test(texture_transform),
         cmocka_unit_test(tangents),

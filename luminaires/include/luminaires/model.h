@@ -33,7 +33,7 @@ typedef struct lum_texture {
 
 /* What scatters light at a surface. */
 typedef enum lum_surface_kind {
-    LUM_SURFACE_PBR = 0,       /* glTF metallic-roughness, with transmission, volume, ior, diffuse transmission */
+    LUM_SURFACE_PBR = 0,       /* glTF metallic-roughness, with transmission, volume, ior, diffuse transmission, and layers */
     LUM_SURFACE_LAMBERT = 1,   /* recipe "diffuse": reflects base_color, Lambertian, nothing specular */
     LUM_SURFACE_CONDUCTOR = 2, /* recipe "mirror"/"conductor": GGX of the given roughness (0 = smooth); reflectance base_color at all
                                   angles ("mirror"), or Fresnel with eta, k ("conductor") */
@@ -41,6 +41,35 @@ typedef enum lum_surface_kind {
 } lum_surface_kind;
 
 typedef enum lum_alpha { LUM_ALPHA_OPAQUE = 0, LUM_ALPHA_MASK = 1, LUM_ALPHA_BLEND = 2 } lum_alpha;
+
+/* What glTF lays over or puts in place of a plain surface; LUM_SURFACE_PBR only.  Bits of lum_layers.present. */
+typedef enum lum_layer {
+    LUM_LAYER_SPECULAR = 1,    /* KHR_materials_specular: strength and colour of the dielectric's reflection */
+    LUM_LAYER_CLEARCOAT = 2,   /* KHR_materials_clearcoat: a clear coat of index 1.5 over everything */
+    LUM_LAYER_SHEEN = 4,       /* KHR_materials_sheen: fibres standing on the surface, under the clear coat */
+    LUM_LAYER_ANISOTROPY = 8,  /* KHR_materials_anisotropy: brushed metal */
+    LUM_LAYER_IRIDESCENCE = 16 /* KHR_materials_iridescence: a thin film on metal or dielectric */
+} lum_layer;
+
+typedef struct lum_layers {
+    uint32_t present;               /* lum_layer bits; the rest holds glTF's defaults where a layer isn't present */
+    float specular;                 /* [0,1] */
+    float specular_color[3];        /* >= 0; what it makes of the reflectance at normal incidence is at most 1 */
+    lum_texture specular_texture;   /* A */
+    lum_texture specular_color_texture; /* sRGB */
+    float clearcoat, clearcoat_roughness; /* [0,1] */
+    lum_texture clearcoat_texture, clearcoat_roughness_texture; /* R; G */
+    lum_texture clearcoat_normal_texture;
+    float clearcoat_normal_scale;
+    float sheen_color[3], sheen_roughness; /* [0,1] */
+    lum_texture sheen_color_texture, sheen_roughness_texture; /* sRGB; A */
+    float anisotropy;               /* [0,1]: GGX widths alpha + (1 - alpha) anisotropy^2 along the direction, alpha across it */
+    float anisotropy_rotation;      /* radians from the tangent towards the bitangent */
+    lum_texture anisotropy_texture; /* R,G direction, B strength */
+    float iridescence, iridescence_ior; /* [0,1]; index of the film, >= 1 */
+    float thickness_min, thickness_max; /* of the film, nm; without texture: the maximum */
+    lum_texture iridescence_texture, thickness_texture; /* R; G */
+} lum_layers;
 
 typedef struct lum_material {
     char name[LUM_NAME_SIZE];
@@ -56,6 +85,8 @@ typedef struct lum_material {
     lum_texture transmission_texture; /* R */
     float diffuse_transmission;  /* [0,1]: share of the diffuse part that goes through (KHR_materials_diffuse_transmission) */
     float diffuse_transmission_color[3];
+    lum_texture diffuse_transmission_texture;       /* A */
+    lum_texture diffuse_transmission_color_texture; /* sRGB */
     bool thin;                   /* a transmitting surface is a thin wall (both faces at once: no refraction); false = the boundary of a solid */
     float absorption[3];         /* 1/m inside a solid (KHR_materials_volume: -ln(colour)/distance) */
     float scattering[3];         /* 1/m inside a solid (recipe "medium"); zeros = clear */
@@ -68,6 +99,7 @@ typedef struct lum_material {
     float alpha_cutoff;
     bool double_sided;
     bool emits_back;             /* emission from the back face too (double-sided emitters) */
+    lum_layers layers;
     lum_spectral spectral;       /* by wavelength, where more is known than R,G,B */
 } lum_material;
 
@@ -162,6 +194,9 @@ lmg_result lum_model_load(const char *path, const lum_recipe *recipe, lum_model 
 void lum_model_destroy(lum_model *model);
 
 /* ------------------------------------------------------------------------------------------------------------- lookups */
+
+/* Whether anything of a material but its emission is textured. */
+bool lum_material_is_textured(const lum_material *material);
 
 /* Bilinear (or nearest) texel at texture coordinates uv[coordinates]; (1,1,1,1) when tex->image is LUM_NONE. */
 void lum_texture_fetch(const lum_model *model, const lum_texture *tex, const float uv0[2], const float uv1[2], float rgba[4]);

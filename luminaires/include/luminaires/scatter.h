@@ -23,6 +23,17 @@
 extern "C" {
 #endif
 
+/* The layers of a material at a point (lum_layers).  Meaningful where lum_surface.layers_present has their bits. */
+typedef struct lum_surface_layers {
+    float specular, specular_color[3];
+    float clearcoat, clearcoat_alpha;
+    lmg_vec3 clearcoat_normal; /* unit, same side as ng */
+    float sheen[3], sheen_alpha;
+    lmg_vec3 tangent;     /* of anisotropy: unit, perpendicular to ns; the direction of alpha_along */
+    float alpha_along;    /* GGX width along it; across it: lum_surface.alpha */
+    float iridescence, film_ior, film_nm;
+} lum_surface_layers;
+
 typedef struct lum_surface {
     const lum_material *material;
     const struct lum_tables *tables; /* albedo tables of rough lobes (microfacet.h); they belong to the scene */
@@ -34,9 +45,12 @@ typedef struct lum_surface {
     float metallic, alpha; /* alpha: GGX width (roughness^2); below LUM_SMOOTH the surface is specular (delta) */
     float ior; /* the material's; a tracer that follows one wavelength puts that one's index here */
     float transmission, diffuse_transmission;
+    float through[3];  /* colour of diffuse transmission */
     float coverage;    /* [0,1]: share of light that meets the surface at all (alpha mask / blend); the tracer decides by chance */
     float emission[3]; /* cd/m2 towards the side of wi, zero on dark sides */
     bool front;        /* the ray came from the front side */
+    uint32_t layers_present;   /* lum_layer bits */
+    lum_surface_layers layers; /* the last member: not copied where none is present */
 } lum_surface;
 
 /* GGX alpha below which a surface is treated as smooth (alpha 1e-4: lobe half-width 0.006 degrees). */

@@ -1,0 +1,114 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Tables that layered materials need beside those of microfacet.c: how facets reflect by the cosine, sheen, thin films. */
+#include "film.h"
+#include "microfacet.h"
+#include "sheen.h"
+
+#include <stdlib.h>
+
+/* The visible normals on a Fibonacci lattice, as in microfacet.c. */
+static void fill_row(double alpha, double mu, float share[LUM_COSINE_STEPS + 1])
+{
+    enum { POINTS = 2584, BEFORE = 1597 };
+    double sum[LUM_COSINE_STEPS + 1] = {0};
+    facets f = {.wi = vec(sqrt((1 - mu) * (1 + mu)), 0, mu), .ax = alpha, .ay = alpha};
+    f.b = facets_b(&f, f.wi);
+    for (uint32_t i = 0; i < POINTS; i++) {
+        facet h = facets_sample(&f, (double)((uint64_t)i * BEFORE % POINTS) / POINTS, (i + 0.5) / POINTS);
+        lmg_vec3 o = facet_reflected(&f, &h);
+        double c = facet_cosine(&h) * LUM_COSINE_STEPS;
+        if (o.z > 0) {
+            double keep = o.z * (mu + f.b) / (o.z * f.b + mu * facets_b(&f, o));
+            int k = (int)c < LUM_COSINE_STEPS ? (int)c : LUM_COSINE_STEPS - 1;
+            sum[k] += keep * (k + 1 - c);
+            sum[k + 1] += keep * (c - k);
+        }
+    }
+    for (int k = 0; k <= LUM_COSINE_STEPS; k++) {
+        share[k] = (float)(sum[k] / POINTS);
+    }
+}
+
+static const lum_cosine_set *find_cosines(lum_table_store *store, float alpha, bool *failed)
+{
+    for (size_t i = 0; i < store->cosine_set_count; i++) {
+        if (store->cosine_sets[i]->alpha == alpha) {
+            return store->cosine_sets[i];
+        }
+    }
+    int count = alpha < 0 ? LUM_LOBE_COMPUTED_ROUGHNESSES + 1 : 1;
+    lum_cosine_set *set = malloc(sizeof *set + (size_t)count * sizeof set->rows[0]);
+    lum_cosine_set **sets = realloc(store->cosine_sets, (store->cosine_set_count + 1) * sizeof *sets);
+    if (sets) {
+        store->cosine_sets = sets;
+    }
+    if (!set || !sets) {
+        free(set);
+        *failed = true;
+        return NULL;
+    }
+    sets[store->cosine_set_count++] = set;
+    set->alpha = alpha;
+    set->count = count;
+    for (int k = 0; k < count; k++) {
+        double r = (double)k / LUM_LOBE_COMPUTED_ROUGHNESSES, a = count == 1 ? (double)alpha : r * r;
+        for (int j = 0; j <= LUM_COSINE_NODES; j++) {
+            double x = j ? (double)j / LUM_COSINE_NODES : 0.03 / LUM_COSINE_NODES;
+            fill_row(fmax(a, (double)LUM_SMOOTH), x * x, set->rows[k].share[j]);
+        }
+    }
+    return set;
+}
+
+void lum_cosine_albedos(const lum_cosine_set *set, double alpha, const float f[LUM_COSINE_STEPS + 1],
+                        float albedo[LUM_COSINE_NODES + 1])
+{
+    double x = set->count > 1 ? sqrt(alpha < 1 ? alpha : 1) * LUM_LOBE_COMPUTED_ROUGHNESSES : 0;
+    int k = (int)x;
+    k = set->count == 1 ? 0 : k < LUM_LOBE_COMPUTED_ROUGHNESSES ? k : LUM_LOBE_COMPUTED_ROUGHNESSES - 1;
+    float w = (float)(x - k);
+    for (int j = 0; j <= LUM_COSINE_NODES; j++) {
+        float a = 0, b = 0;
+        const float *p = set->rows[k].share[j], *q = w > 0 ? set->rows[k + 1].share[j] : p;
+        for (int i = 0; i <= LUM_COSINE_STEPS; i++) {
+            a += f[i] * p[i];
+            b += f[i] * q[i];
+        }
+        albedo[j] = a + w * (b - a);
+    }
+}
+
+void lum_layer_tables_fill(lum_table_store *store, const lum_material *m, struct lum_tables *t, bool *failed)
+{
+    const lum_layers *l = &m->layers;
+    bool varies = m->metal_rough_texture.image != LUM_NONE;
+    if (m->metallic < 1 || varies) {
+        t->cosines = find_cosines(store, varies ? -1.0f : m->roughness * m->roughness, failed);
+    }
+    if (l->present & LUM_LAYER_CLEARCOAT) {
+        bool textured = l->clearcoat_roughness_texture.image != LUM_NONE;
+        t->clearcoat = lum_lobe_set_find(store, LUM_LOBE_COAT, 1.5f,
+                                         textured ? -1.0f : l->clearcoat_roughness * l->clearcoat_roughness, failed);
+    }
+    if (l->present & LUM_LAYER_SHEEN) {
+        if (!store->sheen) {
+            store->sheen = calloc(1, sizeof *store->sheen);
+            *failed |= !store->sheen;
+        }
+        if (store->sheen) {
+            double r = (double)l->sheen_roughness;
+            lum_sheen_table_fill(store->sheen, l->sheen_roughness_texture.image != LUM_NONE ? 0 : r, r);
+        }
+        t->sheen = store->sheen;
+    }
+    if (l->present & LUM_LAYER_IRIDESCENCE) {
+        if (!store->film) {
+            store->film = malloc(sizeof *store->film);
+            *failed |= !store->film;
+            if (store->film) {
+                lum_film_table_fill(store->film);
+            }
+        }
+        t->film = store->film;
+    }
+}
