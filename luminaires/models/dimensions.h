@@ -105,7 +105,7 @@
  * exp(-sigma w sqrt(pi/2)) = 0.4482 for all directions from the middle.
  */
 #define SMOKE_FLUX 800.0
-#define SMOKE_BULB_RADIUS 0.004
+#define SMOKE_BULB_RADIUS 0.006
 #define SMOKE_WIDTH 0.080
 #define SMOKE_VOXEL 0.005
 #define SMOKE_REACH 48 /* voxels from the middle: 3 widths */

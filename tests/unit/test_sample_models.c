@@ -6,6 +6,7 @@
 #include <setjmp.h>
 #include <cmocka.h>
 
+#include <luminaires/medium.h>
 #include <luminaires/model.h>
 #include <luminaires/scatter.h>
 
@@ -18,9 +19,13 @@
 
 static const double PI = 3.14159265358979323846;
 
-static const char *const NAMES[] = {"paraboloid-spot", "opal-globe", "louvred-panel", "glass-lens", "room"};
-static const double FLUX[] = {SPOT_FLUX, GLOBE_FLUX, LOUVRE_FLUX, LENS_FLUX, 0};
-enum { MODELS = 5, LAMPS = 4 };
+static const char *const NAMES[] = {"paraboloid-spot", "opal-globe", "louvred-panel", "glass-lens", "opal-ball", "edge-lit-panel",
+#ifdef LUMIBOX_OPENVDB
+                                    "smoke-lamp",
+#endif
+                                    "room"};
+static const double FLUX[] = {SPOT_FLUX, GLOBE_FLUX, LOUVRE_FLUX, LENS_FLUX, BALL_FLUX, PANEL_FLUX, SMOKE_FLUX};
+enum { MODELS = sizeof(NAMES) / sizeof(NAMES[0]), LAMPS = MODELS - 1 };
 
 static lum_model *load(const char *name)
 {
@@ -210,6 +215,56 @@ static void test_lens_is_closed_and_hyperbolic(void **state)
     lum_model_destroy(model);
 }
 
+static void test_light_guides_and_shells_are_closed(void **state)
+{
+    (void)state;
+    lum_model *model = load("opal-ball");
+    const lum_part *shell = find_part(model, "Shell");
+    const double inner = BALL_RADIUS - BALL_WALL, volume = 4 * PI / 3 * (BALL_RADIUS * BALL_RADIUS * BALL_RADIUS - inner * inner * inner);
+    const lum_material *opal = &model->materials[shell->material];
+    assert_int_equal(shell->boundary_edges, 0);
+    /* 64 bands by 128 segments: a tessellated sphere lacks (pi/64)^2 / 4 + (2 pi/128)^2 / 6, together below 1.1e-3, of its volume */
+    assert_true(fabs(shell->enclosed_volume / volume - 1) < 2e-3);
+    assert_true(opal->scattering[0] == 2000 && opal->absorption[1] == 0.5f && opal->anisotropy == 0.8f && !opal->thin);
+    lum_model_destroy(model);
+
+    model = load("edge-lit-panel");
+    const lum_part *guide = find_part(model, "Light guide");
+    assert_int_equal(guide->boundary_edges, 0);
+    assert_true(guide->enclosed_volume > 0.95 * PANEL_SIDE * PANEL_SIDE * PANEL_THICKNESS);
+    assert_true(guide->enclosed_volume < PANEL_SIDE * PANEL_SIDE * PANEL_THICKNESS);
+    assert_true(fabs((double)model->materials[guide->material].ior - PANEL_IOR) <= (double)FLT_EPSILON * PANEL_IOR);
+    lum_model_destroy(model);
+}
+
+/* Optical depth from the middle outwards: sigma w sqrt(pi/2), less the tail beyond 3 widths (0.27 %); linear interpolation of the
+ * Gaussian is off by h^2/12 of its second derivative, whose integral from the middle on vanishes along the axes and is below
+ * (h/w)^2/4 = 1e-3 in any direction. */
+static void test_smoke_has_its_depth(void **state)
+{
+    (void)state;
+#ifdef LUMIBOX_OPENVDB
+    lum_model *model = load("smoke-lamp");
+    lum_volumes *volumes = NULL;
+    assert_int_equal(model->volume_count, 1);
+    assert_int_equal(lum_volumes_create(model, &volumes, NULL), LMG_OK);
+    const double expected = 8 * SMOKE_WIDTH * sqrt(PI / 2) * erf(3 / sqrt(2.0)), reach = SMOKE_VOXEL * (SMOKE_REACH + 1);
+    const lmg_vec3 c = model->centre, middle = {-c.x, -c.y, -c.z}, ways[3] = {{0, -1, 0}, {0.6, 0.8, 0}, {0.48, -0.6, 0.64}};
+    for (int i = 0; i < 3; ++i) {
+        double depth[3];
+        lum_volumes_depth(volumes, middle, ways[i], i ? 3 * SMOKE_WIDTH : 1, depth);
+        print_message("smoke: depth %.5f (%.5f)\n", depth[0], expected);
+        assert_true(fabs(depth[0] / expected - 1) < 2e-3);
+    }
+    assert_true(fabs(model->bounds_max.y + c.y - reach) < 1e-6 && fabs(model->bounds_min.x + c.x + reach) < 1e-6);
+    lum_volumes_destroy(volumes);
+    lum_model_destroy(model);
+#else
+    print_message("test_smoke_has_its_depth: skipped, built without OpenVDB\n");
+    skip();
+#endif
+}
+
 static void test_room_has_its_size_a_camera_and_space_for_a_lamp(void **state)
 {
     (void)state;
@@ -242,6 +297,8 @@ int main(void)
         cmocka_unit_test(test_spot_mirror_is_the_paraboloid),
         cmocka_unit_test(test_spot_source_has_the_spheres_area),
         cmocka_unit_test(test_lens_is_closed_and_hyperbolic),
+        cmocka_unit_test(test_light_guides_and_shells_are_closed),
+        cmocka_unit_test(test_smoke_has_its_depth),
         cmocka_unit_test(test_room_has_its_size_a_camera_and_space_for_a_lamp),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
