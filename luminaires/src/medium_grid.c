@@ -224,7 +224,7 @@ static bool find_extent(const lum_grid_builder *b, int32_t low[3], int32_t high[
 typedef struct brick_plan {
     float values[LUM_CORNERS * LUM_CORNERS * LUM_CORNERS];
     float cells[LUM_CELLS];
-    float most;
+    float least, most;
     bool constant, by_cell;
 } brick_plan;
 
@@ -268,6 +268,7 @@ static void plan_brick(const lum_grid_builder *b, const lum_grid *g, const int32
                 ++cells;
             }
     p->constant = !(cells > 0) || least == p->most;
+    p->least = p->constant ? p->most : least;
     p->by_cell = !p->constant && ((double)p->most - sum / cells) * LUM_GRID_BRICK * voxel_depth > NULL_COLLISIONS_WORTH_CELLS;
 }
 
@@ -283,23 +284,86 @@ static uint64_t fill_bricks(const lum_grid_builder *b, lum_grid *g, double voxel
             for (k[2] = 0; k[2] < b->bricks[2]; ++k[2]) {
                 plan_brick(b, g, k, voxel_depth, p);
                 lum_brick *brick = &g->table[lum_brick_index(g, k)];
-                *brick = (lum_brick){.most = p->most, .by_cell = p->by_cell, .values = LUM_NO_VALUES, .cells = LUM_NO_VALUES};
+                *brick = (lum_brick){.least = p->least, .most = p->most, .by_cell = p->by_cell, .values = LUM_NO_VALUES};
                 if (p->constant)
                     continue;
                 brick->values = used;
                 if (g->values)
                     memcpy(g->values + used, p->values, size * sizeof(float));
                 used += size;
-                if (!p->by_cell)
-                    continue;
-                brick->cells = linear ? used : brick->values; /* a voxel that is constant is its own bound */
-                if (linear) {
+                if (p->by_cell && linear) {
                     if (g->values)
                         memcpy(g->values + used, p->cells, sizeof(p->cells));
                     used += LUM_CELLS;
                 }
             }
     return used;
+}
+
+/*
+ * What a flight costs per unit of length: steps from block to block, and null collisions, which fetch values from memory; times in
+ * nanoseconds as measured, but only their ratio matters.
+ */
+static const double STEP_COST = 10, NULL_COLLISION_COST = 60;
+enum { LARGEST_GROUP = 16 };
+
+/* Largest densities in blocks of group^3 bricks; most: as many numbers as there are blocks.  Returns their mean. */
+static double fill_blocks(const lum_grid *g, int32_t group, const int32_t blocks[3], float *most)
+{
+    const size_t count = (size_t)blocks[0] * (size_t)blocks[1] * (size_t)blocks[2];
+    double sum = 0;
+    int32_t k[3];
+    memset(most, 0, count * sizeof(*most));
+    for (k[0] = 0; k[0] < g->bricks[0]; ++k[0])
+        for (k[1] = 0; k[1] < g->bricks[1]; ++k[1])
+            for (k[2] = 0; k[2] < g->bricks[2]; ++k[2]) {
+                const size_t block =
+                    ((size_t)(k[0] / group) * (size_t)blocks[1] + (size_t)(k[1] / group)) * (size_t)blocks[2] + (size_t)(k[2] / group);
+                const float here = g->table[lum_brick_index(g, k)].most;
+                most[block] = here > most[block] ? here : most[block];
+            }
+    for (size_t i = 0; i < count; ++i)
+        sum += (double)most[i];
+    return sum / (double)count;
+}
+
+static void count_blocks(const lum_grid *g, int32_t group, int32_t blocks[3])
+{
+    for (int a = 0; a < 3; ++a)
+        blocks[a] = (g->bricks[a] + group - 1) / group;
+}
+
+/* Chooses the size of blocks that costs least.  Where single cells are worth walking, bricks stay: what is dense there is found soon
+ * enough. */
+static lmg_result make_blocks(lum_grid *g, double voxel_depth, lmg_error *err)
+{
+    const size_t count = (size_t)g->bricks[0] * (size_t)g->bricks[1] * (size_t)g->bricks[2];
+    g->group = 1;
+    for (size_t i = 0; i < count; ++i)
+        if (g->table[i].by_cell)
+            return LMG_OK;
+    float *most = malloc(count * sizeof(*most));
+    if (!most)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory for a grid of %zu bricks", count);
+    double cheapest = INFINITY;
+    for (int32_t group = 1; group <= LARGEST_GROUP; group *= 2) {
+        int32_t blocks[3];
+        count_blocks(g, group, blocks);
+        const double mean = fill_blocks(g, group, blocks, most);
+        const double cost = STEP_COST / (LUM_GRID_BRICK * group) + NULL_COLLISION_COST * mean * voxel_depth;
+        if (cost < cheapest) {
+            cheapest = cost;
+            g->group = group;
+        }
+    }
+    if (g->group > 1) {
+        count_blocks(g, g->group, g->blocks);
+        fill_blocks(g, g->group, g->blocks, most);
+        g->block_most = most;
+    } else {
+        free(most);
+    }
+    return LMG_OK;
 }
 
 static lmg_result build(const lum_grid_builder *b, lum_grid *g, double voxel_depth, lmg_error *err)
@@ -329,7 +393,7 @@ static lmg_result build(const lum_grid_builder *b, lum_grid *g, double voxel_dep
     if (!g->table || !p || !g->values)
         result = lmg_fail(err, LMG_ERROR_MEMORY, "out of memory for a grid of %llu bricks", (unsigned long long)count);
     free(p);
-    return result;
+    return result ? result : make_blocks(g, voxel_depth, err);
 }
 
 lmg_result lum_grid_end(lum_grid_builder *b, double voxel_depth, lum_grid **out, lmg_error *err)
@@ -350,6 +414,7 @@ void lum_grid_destroy(lum_grid *g)
     if (!g)
         return;
     free(g->table);
+    free(g->block_most);
     free(g->values);
     free(g);
 }

@@ -4,7 +4,8 @@
  *
  * Cells and bricks.  A cell is a cube of side 1 in which density is one trilinear polynomial: between voxels i and i+1 (linear), or
  * around voxel i (nearest).  *Cell coordinates* are index coordinates, plus 1/2 for nearest, so that cell i is [i, i+1).  A brick
- * is 8^3 cells; *brick coordinates* are (cell coordinates) / 8 - base, so that brick b of the table is [b, b+1).
+ * is 8^3 cells; *brick coordinates* are (cell coordinates) / 8 - base, so that brick b of the table is [b, b+1).  Where the medium is
+ * so thin that light seldom collides within a brick, flights walk over blocks of group^3 bricks instead.
  */
 #ifndef LUMINAIRES_MEDIUM_GRID_H
 #define LUMINAIRES_MEDIUM_GRID_H
@@ -17,10 +18,9 @@ enum { LUM_CORNERS = LUM_GRID_BRICK + 1, LUM_CELLS = LUM_GRID_BRICK * LUM_GRID_B
 #define LUM_NO_VALUES UINT64_MAX
 
 typedef struct lum_brick {
-    float most;      /* largest density in it; where it has no values of its own, the density everywhere in it */
-    bool by_cell;    /* `cells` are there, and worth walking one by one */
-    uint64_t values; /* offset into lum_grid.values: 9^3 corners (linear) or 8^3 voxels (nearest); LUM_NO_VALUES */
-    uint64_t cells;  /* offset into lum_grid.values: the largest density in each of the 8^3 cells */
+    float least, most; /* bounds of the density in it; where it has no values of its own, the density everywhere in it */
+    bool by_cell;      /* lum_brick_cells are there, and worth walking one by one */
+    uint64_t values;   /* offset into lum_grid.values: 9^3 corners (linear) or 8^3 voxels (nearest); LUM_NO_VALUES */
 } lum_brick;
 
 struct lum_grid {
@@ -28,9 +28,19 @@ struct lum_grid {
     int32_t base[3];                     /* of the table, in bricks */
     int32_t bricks[3];                   /* size of the table */
     lum_brick *table;                    /* third index fastest */
+    int32_t group;                       /* bricks along the edge of a block: 1, 2, 4, ... */
+    int32_t blocks[3];                   /* size of the table of blocks */
+    float *block_most;                   /* largest density in each block; NULL when group is 1 */
     float *values;
     double clip_low[3], clip_high[3];    /* brick coordinates; density is zero outside */
 };
+
+/* Offset into lum_grid.values of the largest density in each of the 8^3 cells of a brick that has them: after its corners; a voxel
+ * that is constant is its own bound. */
+static inline uint64_t lum_brick_cells(const lum_grid *g, const lum_brick *b)
+{
+    return b->values + (g->interpolation == LUM_INTERPOLATION_LINEAR ? LUM_CORNERS * LUM_CORNERS * LUM_CORNERS : 0);
+}
 
 static inline size_t lum_brick_index(const lum_grid *g, const int32_t b[3])
 {

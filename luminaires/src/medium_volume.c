@@ -104,6 +104,7 @@ typedef struct flight {
     double o[3], d[3]; /* brick coordinates */
     double t, end;
     walk bricks, cells;
+    bool in_blocks; /* `bricks` walks over blocks of bricks, and there are neither a brick nor cells */
     const lum_brick *brick;
     bool in_cells; /* the bound is that of a cell of `cells` */
     double bound;  /* of the density, here */
@@ -118,7 +119,7 @@ static double clamp_to(double x, double end)
 static void enter_cell(flight *f)
 {
     const walk *w = &f->cells;
-    const float *most = f->v->grid->values + f->brick->cells;
+    const float *most = f->v->grid->values + lum_brick_cells(f->v->grid, f->brick);
     f->bound = (double)most[(w->at[0] * LUM_GRID_BRICK + w->at[1]) * LUM_GRID_BRICK + w->at[2]];
     f->exit = clamp_to(w->next[walk_axis(w)], f->end);
 }
@@ -137,6 +138,13 @@ static void begin_cells(flight *f)
 static void enter_brick(flight *f, bool cells_wherever_there_are_values)
 {
     const lum_grid *g = f->v->grid;
+    if (f->in_blocks) {
+        const walk *w = &f->bricks;
+        f->in_cells = false;
+        f->bound = (double)g->block_most[((size_t)w->at[0] * (size_t)g->blocks[1] + (size_t)w->at[1]) * (size_t)g->blocks[2] + (size_t)w->at[2]];
+        f->exit = clamp_to(w->next[walk_axis(w)], f->end);
+        return;
+    }
     f->brick = &g->table[lum_brick_index(g, f->bricks.at)];
     f->in_cells = f->brick->by_cell || (cells_wherever_there_are_values && f->brick->values != LUM_NO_VALUES);
     f->bound = (double)f->brick->most;
@@ -165,7 +173,8 @@ static bool go_on(flight *f, bool cells_wherever_there_are_values)
             return true;
         }
     }
-    if (f->t >= f->end || !walk_on(&f->bricks, walk_axis(&f->bricks), f->v->grid->bricks))
+    const lum_grid *g = f->v->grid;
+    if (f->t >= f->end || !walk_on(&f->bricks, walk_axis(&f->bricks), f->in_blocks ? g->blocks : g->bricks))
         return false;
     enter_brick(f, cells_wherever_there_are_values);
     return true;
@@ -194,10 +203,14 @@ static bool begin(flight *f, const volume *v, lmg_vec3 o, lmg_vec3 d, double t_m
         return false;
     f->t = from;
     f->end = to;
-    double p[3];
-    for (int a = 0; a < 3; ++a)
-        p[a] = f->o[a] + from * f->d[a];
-    walk_begin(&f->bricks, p, f->d, from, g->bricks);
+    f->in_blocks = g->group > 1 && !cells_wherever_there_are_values;
+    const double scale = f->in_blocks ? 1.0 / g->group : 1;
+    double p[3], step[3];
+    for (int a = 0; a < 3; ++a) {
+        p[a] = (f->o[a] + from * f->d[a]) * scale;
+        step[a] = f->d[a] * scale;
+    }
+    walk_begin(&f->bricks, p, step, from, f->in_blocks ? g->blocks : g->bricks);
     enter_brick(f, cells_wherever_there_are_values);
     return true;
 }
@@ -222,32 +235,55 @@ static bool next_collision(flight *f, lum_rng *rng)
     }
 }
 
-/* Density over its bound where the flight is, in [0,1]. */
-static double real_share(const flight *f)
+/* The brick that the flight is in, and where in it, in cells. */
+static const lum_brick *place(const flight *f, double q[3])
 {
     const lum_grid *g = f->v->grid;
-    if (f->brick->values == LUM_NO_VALUES || (f->in_cells && g->interpolation == LUM_INTERPOLATION_NEAREST))
-        return 1;
-    double q[3];
-    for (int a = 0; a < 3; ++a)
-        q[a] = (f->o[a] + f->t * f->d[a] - f->bricks.at[a]) * LUM_GRID_BRICK;
-    /* Rounding may put a point that belongs to this cell into its neighbour, where the density may exceed the bound. */
-    return fmin(lum_brick_density(g->values + f->brick->values, g->interpolation, q) / f->bound, 1);
+    int32_t brick[3];
+    for (int a = 0; a < 3; ++a) {
+        const double x = f->o[a] + f->t * f->d[a];
+        brick[a] = !f->in_blocks ? f->bricks.at[a] : x < 0 ? 0 : x >= g->bricks[a] ? g->bricks[a] - 1 : (int32_t)x;
+        q[a] = (x - brick[a]) * LUM_GRID_BRICK;
+    }
+    return f->in_blocks ? &g->table[lum_brick_index(g, brick)] : f->brick;
 }
 
-/* Decides about a tentative collision of which the given share is real, and updates the factors.  A photon that goes on, also after a
- * null collision, keeps luminance 1 (for shares that aren't negative). */
-static lum_flight_event decide(const lum_medium *m, double real, const double share[3], double u, double factor[3])
+/* Density where the flight is; below or at the flight's bound (rounding may put a point that belongs to one cell into its
+ * neighbour). */
+static double density_at(const flight *f, const lum_brick *b, const double q[3])
 {
-    if (m->grey) {
-        if (u >= real)
-            return LUM_FLIGHT_PASSED;
-        return u * m->majorant < real * m->scattering[0] ? LUM_FLIGHT_SCATTERED : LUM_FLIGHT_ABSORBED;
-    }
-    double p[3], total = 0, scattered = 0, absorbed = 0, sum = 0;
+    const lum_grid *g = f->v->grid;
+    if (b->values == LUM_NO_VALUES)
+        return fmin((double)b->most, f->bound);
+    if (f->in_cells && g->interpolation == LUM_INTERPOLATION_NEAREST)
+        return f->bound;
+    return fmin(lum_brick_density(g->values + b->values, g->interpolation, q), f->bound);
+}
+
+/* A tentative collision in a grey medium.  Mostly the brick's bounds decide, and its values needn't be fetched from memory. */
+static lum_flight_event decide_grey(const flight *f, lum_rng *rng)
+{
+    const lum_medium *m = &f->v->medium;
+    const double level = lum_rng_next(rng) * f->bound;
+    double q[3];
+    const lum_brick *b = place(f, q);
+    if (level >= (double)b->most || (level >= (double)b->least && level >= density_at(f, b, q)))
+        return LUM_FLIGHT_PASSED;
+    if (m->scattering[0] < m->majorant && lum_rng_next(rng) * m->majorant >= m->scattering[0])
+        return LUM_FLIGHT_ABSORBED;
+    return LUM_FLIGHT_SCATTERED;
+}
+
+/* A tentative collision in a coloured medium; updates the factors.  A photon that goes on, also after a null collision, keeps
+ * luminance 1 (for shares that aren't negative). */
+static lum_flight_event decide_coloured(const flight *f, const double share[3], lum_rng *rng, double factor[3])
+{
+    const lum_medium *m = &f->v->medium;
+    double q[3], p[3], total = 0, scattered = 0, absorbed = 0, sum = 0;
+    const lum_brick *b = place(f, q);
+    const double scale = density_at(f, b, q) / f->bound / m->majorant, u = lum_rng_next(rng);
     for (int c = 0; c < 3; ++c)
         total += p[c] = fabs(share[c] * factor[c]);
-    const double scale = real / m->majorant;
     for (int c = 0; c < 3; ++c) {
         p[c] /= total;
         scattered += p[c] * scale * m->scattering[c];
@@ -255,16 +291,16 @@ static lum_flight_event decide(const lum_medium *m, double real, const double sh
     }
     if (u >= scattered && u < scattered + absorbed)
         return LUM_FLIGHT_ABSORBED;
-    const bool real_one = u < scattered;
+    const bool real = u < scattered;
     double chance[3];
     for (int c = 0; c < 3; ++c) {
-        chance[c] = real_one ? scale * m->scattering[c] : fmax(1 - scale * m->extinction[c], 0);
+        chance[c] = real ? scale * m->scattering[c] : fmax(1 - scale * m->extinction[c], 0);
         sum += p[c] * chance[c];
     }
     /* sum is the probability of what happened, up to rounding, and with it dividing keeps the luminance to the last bits. */
     for (int c = 0; c < 3; ++c)
         factor[c] *= sum > 0 ? chance[c] / sum : 1;
-    return real_one ? LUM_FLIGHT_SCATTERED : LUM_FLIGHT_PASSED;
+    return real ? LUM_FLIGHT_SCATTERED : LUM_FLIGHT_PASSED;
 }
 
 void lum_volumes_fly(const lum_volumes *volumes, lmg_vec3 origin, lmg_vec3 direction, double t_max, const double share[3],
@@ -282,7 +318,7 @@ void lum_volumes_fly(const lum_volumes *volumes, lmg_vec3 origin, lmg_vec3 direc
         for (uint32_t i = 1; i < count; ++i)
             first = flights[i].t < flights[first].t ? i : first;
         flight *f = &flights[first];
-        const lum_flight_event event = decide(&f->v->medium, real_share(f), share, lum_rng_next(rng), out->factor);
+        const lum_flight_event event = f->v->medium.grey ? decide_grey(f, rng) : decide_coloured(f, share, rng, out->factor);
         if (event != LUM_FLIGHT_PASSED) {
             out->event = event;
             out->t = f->t;
