@@ -147,7 +147,7 @@ static lmg_result read_intensities(lines *l, lum_photometry *p, double factor)
     double last = 1;
     for (uint32_t i = 0; i < p->h_count; i++)
         for (uint32_t j = 0; j < p->v_count; j++) {
-            if (!*l->at && last == 0 && i + 1 == p->h_count) {
+            if (!*l->at && last == 0 && i + 1 == p->h_count && j > 0) {
                 lum_photometry_warn(p, "the last %u values are missing and taken as 0, like the one before", p->v_count - j);
                 return LMG_OK;
             }

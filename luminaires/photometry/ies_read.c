@@ -112,6 +112,7 @@ typedef struct numbers {
     const char *at;
     unsigned line;
     bool decimal_comma;
+    bool leftover; /* text stands after the last number */
     lmg_error *err;
 } numbers;
 
@@ -210,7 +211,7 @@ static void read_tilt_file(lum_photometry *p, const char *name, const char *path
         if (result == LMG_OK)
             result = lum_text_decode(bytes, size, &text, &why);
         if (result == LMG_OK) {
-            numbers n = {text, 1, false, &why};
+            numbers n = {.at = text, .line = 1, .err = &why};
             result = read_tilt(&n, &tilt);
         }
     }
@@ -318,7 +319,8 @@ static lmg_result read_data(numbers *n, const lum_photometry *labels, const char
         read_tilt_file(p, tilt_name, path);
     while (*n->at && is_blank(n, *n->at))
         n->at++;
-    if (*n->at)
+    n->leftover = *n->at != 0;
+    if (n->leftover)
         lum_photometry_warn(p, "text after the last candela value is ignored");
     *out = p;
     return LMG_OK;
@@ -413,20 +415,26 @@ lmg_result lum_ies_read(const char *text, const char *path, lum_photometry **out
     if (result == LMG_OK && !found)
         result = lmg_fail(err, LMG_ERROR_INPUT, "no line TILT=: not an IES LM-63 file, or cut off before its data");
     if (result == LMG_OK) {
-        numbers n = {at, line + 1, false, err};
+        numbers n = {.at = at, .line = line + 1, .err = err};
         result = read_data(&n, labels, tilt, path, rules_2002, out);
-        /* A comma between digits separates numbers by the rules, and is a decimal comma in some files: what reads is meant. */
-        if (result == LMG_ERROR_INPUT) {
+        /* A comma between digits separates numbers by the rules, and is a decimal comma in some files: what comes out even is
+         * meant. */
+        if (result == LMG_ERROR_INPUT || (result == LMG_OK && n.leftover)) {
             const char *comma = at;
             while ((comma = strchr(comma, ',')) &&
                    !(comma > at && comma[-1] >= '0' && comma[-1] <= '9' && comma[1] >= '0' && comma[1] <= '9'))
                 comma++;
             lmg_error ignored;
-            numbers again = {at, line + 1, true, &ignored};
-            if (comma && read_data(&again, labels, tilt, path, rules_2002, out) == LMG_OK) {
+            lum_photometry *other = NULL;
+            numbers again = {.at = at, .line = line + 1, .decimal_comma = true, .err = &ignored};
+            if (comma && read_data(&again, labels, tilt, path, rules_2002, &other) == LMG_OK && !again.leftover) {
+                lum_photometry_destroy(*out);
+                *out = other;
+                other = NULL;
                 result = LMG_OK;
                 lum_photometry_warn(*out, "decimal commas");
             }
+            lum_photometry_destroy(other);
         }
     }
     lum_photometry_destroy(labels);
