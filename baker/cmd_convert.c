@@ -4,10 +4,12 @@
 
 #include "convert.h"
 #include "open_source.h"
+#include "picture_set.h"
 
 #include <luminaires/photometry.h>
 #include <luminaires/rng.h>
 
+#include <dirent.h>
 #include <errno.h>
 #include <inttypes.h>
 #include <math.h>
@@ -22,6 +24,9 @@ enum {
     KEY_GRID,
     KEY_SYMMETRY,
     KEY_PIXELS,
+    KEY_NEAR,
+    KEY_DISTANCE,
+    KEY_STEP,
     KEY_CELLS,
     KEY_LAYOUT,
     KEY_RESOLUTION,
@@ -35,16 +40,16 @@ enum {
 };
 
 static const struct argp_option OPTIONS[] = {
-    {"to", KEY_TO, "KIND", 0,
-     "what B is to be, when its name doesn't say: box, tm25, zemax, zemax-text, lighttools, lighttools-text, ies, ies-2002, ldt, "
-     "tm33, "
-     "goniometric, usd, gltf",
-     1},
+    {"to", KEY_TO, "KIND", 0, "when B's name doesn't say: box, tm25, zemax, zemax-text, lighttools, lighttools-text, ies, ies-2002, ldt, "
+     "tm33, goniometric, usd, gltf, pictures", 1},
     {"rays", KEY_RAYS, "N", 0, "rays to take (default: all of a ray file, else 1e7)", 1},
     {"radiometric", KEY_RADIOMETRIC, 0, 0, "watts of a ray file as they are, no lumens", 1},
     {"grid", KEY_GRID, "C,GAMMA", 0, "of a far field: planes round the circle and angles from 0 to 180 (default 72,73)", 2},
     {"symmetry", KEY_SYMMETRY, "KIND", 0, "of a far field: none, axial, c0, c90 (mirror planes) or quadrant (default none)", 2},
-    {"pixels", KEY_PIXELS, "N", 0, "of a goniometric picture, per side (default 512)", 2},
+    {"near", KEY_NEAR, "M,...", 0, "photometric files of E d^2 at these distances, metres: B_0.5m.ies", 2},
+    {"pixels", KEY_PIXELS, "N", 0, "of pictures, per side (default: goniometric 512, near field 64)", 2},
+    {"distance", KEY_DISTANCE, "M", 0, "of the camera from the centre (default 4 radii of the bounds)", 2},
+    {"step", KEY_STEP, "DEG", 0, "between near-field pictures, a divisor of 180 (default 5)", 2},
     {"cells", KEY_CELLS, "N", 0, "size of a box in cells (default: by the number of rays)", 2},
     {"layout", KEY_LAYOUT, "KIND", 0, "of a box: auto, cube or aperture (default auto)", 2},
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 2},
@@ -60,13 +65,13 @@ static const struct argp_option OPTIONS[] = {
 };
 
 static const char DOC[] =
-    "Turns A into B. A: a ray file, a box, a lamp (.gltf, .glb) or a photometric file (.ies, .ldt, .xml); B: a box, a ray "
-    "file, a photometric file, or its light for another renderer. Says what flux went in, what came out, and what was lost."
-    "\vKinds by name: .box.exr, .tm25ray (IES TM-25), .dat (Zemax), .ray (LightTools), .ies, .ldt, .xml (TM-33), .usda, .gltf.\n"
+    "Turns A into B. A: a ray file, a box, a lamp (.gltf, .glb), a folder of goniometer pictures or a photometric file; B: a "
+    "box, a ray file, a photometric file, a folder of goniometer pictures, or its light for another renderer. Says what flux went in, what came out, and what was lost."
+    "\vKinds by name: .box.exr, .tm25ray (IES TM-25), .dat (Zemax), .ray (LightTools), .ies, .ldt, .xml (TM-33), .usda, .gltf, FOLDER/.\n"
     "Example:\n  lumibake convert led.tm25ray led.box.exr";
 
 /* What B can be. */
-typedef enum target_kind { TO_NONE, TO_BOX, TO_RAYS, TO_PHOTOMETRY } target_kind;
+typedef enum target_kind { TO_NONE, TO_BOX, TO_RAYS, TO_PHOTOMETRY, TO_PICTURES } target_kind;
 
 typedef struct command {
     lamp_options lamp;
@@ -75,6 +80,8 @@ typedef struct command {
     lum_ray_format format;            /* of a ray file */
     lum_photometry_format photometry; /* of a photometric file */
     uint32_t pixels;
+    size_t near_count;
+    double near[16], distance, step;
     char losses[512]; /* of a photometric file: what its format can't keep */
     bool radiometric, quiet, json;
     double flux_lm;
@@ -103,6 +110,7 @@ static void parse_to(struct argp_state *state, const char *text, command *c)
         {"goniometric", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_GONIOMETRIC_EXR},
         {"usd", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_USD},
         {"gltf", TO_PHOTOMETRY, LUM_RAYS_NONE, LUM_FORMAT_GLTF},
+        {"pictures", TO_PICTURES, LUM_RAYS_NONE, LUM_FORMAT_AUTO},
     };
     for (size_t i = 0; i < sizeof(KINDS) / sizeof(KINDS[0]); ++i)
         if (!strcmp(text, KINDS[i].name)) {
@@ -113,7 +121,7 @@ static void parse_to(struct argp_state *state, const char *text, command *c)
         }
     usage_error(state,
                 "--to: '%s' is none of box, tm25, zemax, zemax-text, lighttools, lighttools-text, ies, ies-2002, ldt, "
-                "tm33, goniometric, usd, gltf",
+                "tm33, goniometric, usd, gltf, pictures",
                 text);
 }
 
@@ -123,12 +131,29 @@ static void choose_target(command *c)
     const size_t n = strlen(c->output);
     c->photometry = lum_photometry_format_of_name(c->output);
     c->format = lum_ray_format_of_name(c->output);
-    if (c->format != LUM_RAYS_NONE)
+    if (n > 1 && c->output[n - 1] == '/')
+        c->to = TO_PICTURES;
+    else if (c->format != LUM_RAYS_NONE)
         c->to = TO_RAYS;
     else if (n >= 4 && !strcmp(c->output + n - 4, ".exr"))
         c->to = TO_BOX; /* a goniometric picture has to be asked for */
     else if (c->photometry != LUM_FORMAT_AUTO)
         c->to = TO_PHOTOMETRY;
+}
+
+static void parse_near(struct argp_state *state, const char *text, command *c)
+{
+    c->near_count = 0;
+    for (const char *at = text;;) {
+        char *end;
+        const double d = strtod(at, &end);
+        if (end == at || (*end && *end != ',') || !(d >= 1e-6 && d <= 1e6) || c->near_count == sizeof(c->near) / sizeof(c->near[0]))
+            usage_error(state, "--near: '%s' is not a list of up to 16 distances in metres such as 0.5,1,2", text);
+        c->near[c->near_count++] = d;
+        if (!*end)
+            return;
+        at = end + 1;
+    }
 }
 
 static error_t parse(int key, char *arg, struct argp_state *state)
@@ -165,6 +190,17 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     }
     case KEY_PIXELS:
         c->pixels = (uint32_t)argument_count(state, "--pixels", arg, 2, 8192);
+        break;
+    case KEY_NEAR:
+        parse_near(state, arg, c);
+        break;
+    case KEY_DISTANCE:
+        c->distance = argument_number(state, "--distance", arg, 1e-6, 1e6);
+        break;
+    case KEY_STEP:
+        c->step = argument_number(state, "--step", arg, 0.1, 90);
+        if (fabs(180 / c->step - round(180 / c->step)) > 1e-9)
+            usage_error(state, "--step: %s doesn't divide 180", arg);
         break;
     case KEY_CELLS:
         c->options.fit.cells = argument_count(state, "--cells", arg, 1000, UINT64_C(1) << 32);
@@ -211,6 +247,10 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             choose_target(c);
         if (c->to == TO_NONE)
             usage_error(state, "%s: its name doesn't say what it is to be; give --to KIND", c->output);
+        if (c->near_count && c->to != TO_PHOTOMETRY)
+            usage_error(state, "--near goes with photometric files");
+        if ((c->distance > 0 || c->step > 0) && c->to != TO_PICTURES)
+            usage_error(state, "--distance and --step go with pictures");
         if (c->lamp.recipe_path && c->lamp.no_recipe)
             usage_error(state, "--recipe and --no-recipe exclude each other");
         break;
@@ -229,12 +269,15 @@ static const char *base_name(const char *path)
 static const char *kind_name(const command *c, const opened_source *a, bool input)
 {
     static const char *const PHOTOMETRY[] = {"", "IES", "IES", "EULUMDAT", "TM-33", "goniometric picture", "USD", "glTF light"};
+    if (!input && c->to == TO_PICTURES)
+        return "near-field pictures";
     if (!input)
         return c->to == TO_BOX ? "box" : c->to == TO_RAYS ? lum_ray_format_name(c->format) : PHOTOMETRY[c->photometry];
     if (a->kind == SOURCE_PHOTOMETRY)
         return a->photometry->format;
     return a->kind == SOURCE_LAMP  ? "glTF lamp"
            : a->kind == SOURCE_BOX ? "box"
+           : a->kind == SOURCE_PICTURES ? "near-field pictures"
                                    : lum_ray_format_name(lum_rayfile_info(a->rays)->format);
 }
 
@@ -343,9 +386,93 @@ static lmg_result to_photometry(command *c, const opened_source *a, bake_convers
     return result;
 }
 
+/* B with the distance before its ending: lamp.ies -> lamp_0.5m.ies. */
+static lmg_result near_name(const char *output, double distance, char name[2048], lmg_error *err)
+{
+    const char *base = base_name(output), *dot = strrchr(base, '.');
+    const int stem = (int)((dot ? dot : base + strlen(base)) - output);
+    if (stem > 1900 || snprintf(name, 2048, "%.*s_%gm%s", stem, output, distance, dot ? dot : "") >= 2048)
+        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "the name of the output is too long");
+    return LMG_OK;
+}
+
+static lmg_result to_near_fields(command *c, const opened_source *a, bake_conversion *r, lmg_error *err)
+{
+    const char *output = c->output;
+    lmg_result result = LMG_OK;
+    for (size_t i = 0; result == LMG_OK && i < c->near_count; ++i) {
+        char name[2048];
+        result = near_name(output, c->near[i], name, err);
+        if (result != LMG_OK)
+            break;
+        c->output = name;
+        c->options.near = c->near[i];
+        result = to_photometry(c, a, r, err);
+        if (result == LMG_OK && !c->quiet && !c->json)
+            printf("%s: %.8g %s\n", name, r->flux_out, a->photometric ? "lm" : "W");
+        c->output = output;
+    }
+    return result;
+}
+
+/* A box's light as pictures; of other sources a box in memory comes between. */
+static lmg_result to_pictures(const command *c, const opened_source *a, bake_conversion *r, lmg_error *err)
+{
+    lmg_field *made = NULL;
+    *r = (bake_conversion){0};
+    lmg_result result = a->field ? LMG_OK : bake_convert_to_field(a->source, &c->options, &made, r, err);
+    if (result != LMG_OK)
+        return result;
+    const bake_picture_set_options options = {
+        .distance = c->distance,
+        .step = c->step,
+        .pixels = c->pixels,
+        .threads = c->options.threads,
+        .radiant = !a->photometric,
+        .origin = base_name(a->path),
+        .stop = c->options.stop,
+    };
+    bake_picture_set_report report;
+    result = bake_picture_set_write(made ? made : a->field, &options, c->output, &report, err);
+    if (!made) {
+        r->flux_in = lmg_field_ledger(a->field).stored;
+        r->out_se = lmg_field_ledger(a->field).stored_se;
+    }
+    r->flux_out = report.flux;
+    r->pictures = report.pictures;
+    r->dark = report.dark;
+    r->distance = report.distance;
+    r->seconds += report.seconds;
+    lmg_field_destroy(made);
+    return result;
+}
+
+/* Whether the pictures' folder can be made: like check_output, but an empty folder may be there. */
+static lmg_result check_folder(const char *path, const char *input, lmg_error *err)
+{
+    char name[1024];
+    size_t n = strlen(path);
+    while (n > 1 && path[n - 1] == '/')
+        --n;
+    if (n >= sizeof(name))
+        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "the name of the output is too long");
+    memcpy(name, path, n);
+    name[n] = 0;
+    DIR *folder = opendir(name);
+    if (!folder)
+        return check_output(name, &input, 1, err);
+    int entries = 0;
+    for (const struct dirent *e; (e = readdir(folder));)
+        entries += strcmp(e->d_name, ".") != 0 && strcmp(e->d_name, "..") != 0;
+    closedir(folder);
+    return entries ? lmg_fail(err, LMG_ERROR_FILE_WRITE, "%.300s: is a folder with something in it; give a new name", path) : LMG_OK;
+}
+
 static lmg_result convert(command *c, opened_source *a, bake_conversion *r, lmg_error *err)
 {
     const source_kind kind = source_kind_of(c->lamp.path);
+    if (c->near_count && kind == SOURCE_PHOTOMETRY)
+        return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "%s: a far field knows of no near distances; give rays, a box or a lamp", c->lamp.path);
     if (c->to == TO_BOX && kind == SOURCE_LAMP)
         return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "%s: a lamp becomes a box by 'lumibake bake'", c->lamp.path);
     if (c->to == TO_BOX && kind == SOURCE_BOX)
@@ -362,7 +489,18 @@ static lmg_result convert(command *c, opened_source *a, bake_conversion *r, lmg_
     const lmg_result result = open_source(&c->lamp, &options, a, err);
     if (result != LMG_OK)
         return result;
-    return c->to == TO_BOX ? to_box(c, a, r, err) : c->to == TO_RAYS ? to_rays(c, a, r, err) : to_photometry(c, a, r, err);
+    switch (c->to) {
+    case TO_BOX:
+        return to_box(c, a, r, err);
+    case TO_RAYS:
+        return to_rays(c, a, r, err);
+    case TO_PICTURES:
+        return to_pictures(c, a, r, err);
+    case TO_PHOTOMETRY:
+    case TO_NONE:
+    default:
+        return c->near_count ? to_near_fields(c, a, r, err) : to_photometry(c, a, r, err);
+    }
 }
 
 /* -------------------------------------------------------------------------------------------------------------- report */
@@ -379,6 +517,15 @@ static json_t *report_json(const command *c, const opened_source *a, const bake_
         json_object_set_new(o, "noise", json_number(r->noise));
         json_object_set_new(o, "not_kept", json_string(c->losses));
     }
+    if (c->to == TO_PICTURES)
+        json_object_set_new(o, "pictures", json_pack("{s:i, s:i, s:f}", "count", (int)r->pictures, "dark", (int)r->dark, "distance_m",
+                                                     r->distance));
+    if (c->near_count) {
+        json_t *near = json_array();
+        for (size_t i = 0; i < c->near_count; ++i)
+            json_array_append_new(near, json_real(c->near[i]));
+        json_object_set_new(o, "near_m", near);
+    }
     if (c->to == TO_BOX) {
         json_object_set_new(o, "residual", json_number(r->residual));
         json_object_set_new(o, "refused_rays", json_integer((json_int_t)r->refused));
@@ -391,7 +538,10 @@ static void print_report(const command *c, const opened_source *a, const bake_co
 {
     const char *unit = a->photometric ? "lm" : "W";
     printf("%s (%s) -> %s (%s)\n", a->path, kind_name(c, a, true), c->output, kind_name(c, a, false));
-    printf("  rays      %" PRIu64 " of %" PRIu64 " photons, %.1f s\n", r->rays, r->photons, r->seconds);
+    if (r->photons > 0)
+        printf("  rays      %" PRIu64 " of %" PRIu64 " photons, %.1f s\n", r->rays, r->photons, r->seconds);
+    if (c->to == TO_PICTURES)
+        printf("  pictures  %u from %.4g m, %u of them dark and left out, %.1f s\n", r->pictures, r->distance, r->dark, r->seconds);
     printf("  flux in   %14.8g %s\n", r->flux_in, unit);
     printf("  flux out  %14.8g %s  +- %.2g\n", r->flux_out, unit, r->out_se);
     printf("  loss      %14.2g %%\n", 100 * (r->flux_in - r->flux_out) / r->flux_in);
@@ -412,7 +562,7 @@ int cmd_convert(int argc, char **argv)
     lmg_error err = {{0}};
     opened_source a = {0};
     bake_conversion r = {0};
-    if (check_output(c.output, &c.lamp.path, 1, &err) != LMG_OK)
+    if ((c.to == TO_PICTURES ? check_folder(c.output, c.lamp.path, &err) : check_output(c.output, &c.lamp.path, 1, &err)) != LMG_OK)
         return report_failure(&err);
     c.options.stop = catch_interrupts();
     const lmg_result result = convert(&c, &a, &r, &err);

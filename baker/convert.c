@@ -209,6 +209,34 @@ lmg_result bake_convert_to_rays(bake_source *source, const bake_convert_options 
     return result;
 }
 
+/* Rays as a photometer on a sphere meets them: with the direction of the place where they pass it. */
+typedef struct near_sphere {
+    lmg_sink to;
+    lmg_vec3 centre;
+    double radius;
+} near_sphere;
+
+static void consume_near(void *self, const lmg_ray *rays, size_t count)
+{
+    const near_sphere *s = self;
+    enum { AT_ONCE = 64 };
+    lmg_ray moved[AT_ONCE];
+    while (count > 0) {
+        const size_t n = count < AT_ONCE ? count : AT_ONCE;
+        for (size_t i = 0; i < n; ++i) {
+            const lmg_vec3 d = rays[i].direction;
+            const lmg_vec3 o = {rays[i].origin.x - s->centre.x, rays[i].origin.y - s->centre.y, rays[i].origin.z - s->centre.z};
+            const double b = o.x * d.x + o.y * d.y + o.z * d.z, c = o.x * o.x + o.y * o.y + o.z * o.z - s->radius * s->radius;
+            const double t = sqrt(b * b - c) - b; /* the sphere holds all origins: c < 0, and the way out is ahead */
+            moved[i] = rays[i];
+            moved[i].direction = (lmg_vec3){(o.x + t * d.x) / s->radius, (o.y + t * d.y) / s->radius, (o.z + t * d.z) / s->radius};
+        }
+        s->to.consume(s->to.self, moved, n);
+        rays += n;
+        count -= n;
+    }
+}
+
 lmg_result bake_convert_to_photometry(bake_source *source, const bake_convert_options *o, lum_photometry **out,
                                       bake_conversion *report, lmg_error *err)
 {
@@ -225,8 +253,18 @@ lmg_result bake_convert_to_photometry(bake_source *source, const bake_convert_op
     if (result == LMG_OK)
         result = bake_goniometer_create(&grid, &goniometer, err);
     bake_tally tally = {0};
+    near_sphere sphere = {.radius = o->near};
+    if (result == LMG_OK) {
+        const lmg_vec3 lo = source->bounds_min, hi = source->bounds_max, e = {hi.x - lo.x, hi.y - lo.y, hi.z - lo.z};
+        const double radius = 0.5 * sqrt(e.x * e.x + e.y * e.y + e.z * e.z);
+        sphere.to = bake_goniometer_sink(goniometer);
+        sphere.centre = (lmg_vec3){0.5 * (lo.x + hi.x), 0.5 * (lo.y + hi.y), 0.5 * (lo.z + hi.z)};
+        if (o->near > 0 && !(o->near > radius))
+            result = lmg_fail(err, LMG_ERROR_ARGUMENT, "a photometer at %g m from the centre isn't outside the luminaire (radius %.4g m)",
+                              o->near, radius);
+    }
     if (result == LMG_OK)
-        result = run_into(source, o, photons, bake_goniometer_sink(goniometer), &tally, err);
+        result = run_into(source, o, photons, o->near > 0 ? (lmg_sink){.self = &sphere, .consume = consume_near} : sphere.to, &tally, err);
     const double unit = result == LMG_OK ? source->flux / (double)photons : 0;
     if (result == LMG_OK)
         result = bake_goniometer_read(goniometer, unit, out, &se, err);

@@ -16,6 +16,7 @@ typedef struct bake_convert_options {
     unsigned threads;                  /* 0 = all cores */
     lmg_fit_options fit;               /* of a box: layout wishes; bounds and, where 0, cells are filled in */
     bake_goniometer_options grid;      /* of a far field; the bounds are filled in */
+    double near;                       /* of a far field: > 0: E d^2 on a sphere of this radius (metres) around the bounds' centre */
     const volatile sig_atomic_t *stop; /* when it becomes non-zero, the conversion ends with LMG_ERROR_INTERNAL; NULL = never */
 } bake_convert_options;
 
@@ -27,6 +28,8 @@ typedef struct bake_conversion {
     double residual;         /* of a box: beside all slabs */
     uint64_t refused;        /* of a box: rays that can't be counted */
     double noise;            /* of a far field: RMS standard error / RMS intensity, over the sphere */
+    uint32_t pictures, dark; /* of a set of pictures: all; those without light */
+    double distance;         /* of their camera, metres */
     double seconds;
     char layout_why[1024]; /* of a box */
 } bake_conversion;
@@ -42,7 +45,8 @@ lmg_result bake_convert_to_field(bake_source *source, const bake_convert_options
 lmg_result bake_convert_to_rays(bake_source *source, const bake_convert_options *options, const char *path,
                                 const lum_ray_writer_options *writer, bake_conversion *report, lmg_error *err);
 
-/* The far field of a source, on a grid of C and gamma (goniometer.h). */
+/* The far field of a source, on a grid of C and gamma (goniometer.h); with options.near what a photometer at that distance takes for it
+ * (application-distance photometry). */
 lmg_result bake_convert_to_photometry(bake_source *source, const bake_convert_options *options, lum_photometry **out,
                                       bake_conversion *report, lmg_error *err);
 

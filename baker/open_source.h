@@ -14,6 +14,7 @@ typedef enum source_kind {
     SOURCE_BOX,        /* a baked box */
     SOURCE_LAMP,       /* a glTF luminaire, traced */
     SOURCE_RAYS,       /* a ray file */
+    SOURCE_PICTURES,   /* a folder of near-field goniometer pictures */
     SOURCE_PHOTOMETRY, /* IES, EULUMDAT, TM-33: its far field from its luminous shape */
 } source_kind;
 

@@ -115,9 +115,11 @@ static lmg_result take_pictures(const lmg_field *field, const bake_picture_set_o
     block = block < 1 ? 1 : block > all ? all : block;
     lum_picture *pictures = calloc(block, sizeof(*pictures));
     lmg_result result = pictures ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for pictures");
+    const lmg_layout *layout = lmg_field_layout(field);
+    const bool grey = layout->channels == 1 && layout->colour[0] == layout->colour[1] && layout->colour[1] == layout->colour[2];
     for (uint32_t i = 0; result == LMG_OK && i < block; ++i) {
         result = lum_picture_create(set->width, set->height, &pictures[i], err);
-        pictures[i].colour = lmg_field_layout(field)->channels == 3;
+        pictures[i].colour = !grey;
     }
     for (uint32_t first = 0; result == LMG_OK && first < all; first += block) {
         const uint32_t count = all - first < block ? all - first : block;

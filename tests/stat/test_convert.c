@@ -12,6 +12,7 @@
 
 #include "bake.h"
 #include "convert.h"
+#include "picture_set.h"
 #include "receiver.h"
 #include "stats.h"
 
@@ -425,6 +426,168 @@ static void sampled_rays_give_the_box_back(void **state)
     unlink(path_of("out.tm25ray"));
 }
 
+/* ------------------------------------------------------------------------------------------------------------ pictures */
+
+static void remove_set(const char *path)
+{
+    char name[512];
+    for (int i = 0; i < 1000; ++i) {
+        snprintf(name, sizeof(name), "%s/p%05d.exr", path, i);
+        unlink(name);
+    }
+    snprintf(name, sizeof(name), "%s/index.json", path);
+    unlink(name);
+    rmdir(path);
+}
+
+static void put_file(const char *path, const char *text)
+{
+    FILE *f = fopen(path, "wb");
+    assert_non_null(f);
+    fputs(text, f);
+    fclose(f);
+}
+
+static void set_refused(const char *path, lmg_result code, const char *why)
+{
+    lmg_error err = {{0}};
+    bake_source *source;
+    bake_picture_set_info info;
+    const lmg_result result = bake_picture_set_source_create(path, 1, &source, &info, &err);
+    assert_null(source);
+    if (result != code || !strstr(err.message, why) || strchr(err.message, '\n'))
+        fail_msg("%d, '%s': not %d and '%s'", result, err.message, code, why);
+}
+
+/* A square's box, photographed all around, made into a box again: flux, and illuminance in front of it by its closed form. */
+static void goniometer_pictures(void **state)
+{
+    (void)state;
+    write_lambertian(path_of("square.tm25ray"), 400000, true, false, true, LUM_RAYS_TM25);
+    opened o = open_rays(path_of("square.tm25ray"));
+    bake_conversion report;
+    lmg_error err = {{0}};
+    lmg_field *field = box_of(o.source, 100000, &report), *again;
+    char folder_path[256];
+    snprintf(folder_path, sizeof(folder_path), "%s", path_of("set"));
+    const bake_picture_set_options options = {.distance = 0.01, .step = 10, .pixels = 48, .radiant = true, .origin = "a square"};
+    bake_picture_set_report set;
+    check(bake_picture_set_write(field, &options, folder_path, &set, &err), &err);
+    assert_int_equal(set.pictures, 18 * 36);
+    assert_int_equal(set.dark, 18 * 36 / 2); /* behind it */
+    /* midpoint rule in steps of 10 degrees: step^2/24 = 0.13 % of a cosine; pixels across edges: one of 24 pixels' hundredths */
+    near(set.flux, o.source->flux, 0.01 * o.source->flux);
+    /* a folder that holds something isn't written over, and nothing is left of the attempt */
+    assert_int_equal(bake_picture_set_write(field, &options, folder_path, &set, &err), LMG_ERROR_FILE_WRITE);
+
+    bake_source *source;
+    bake_picture_set_info info;
+    check(bake_picture_set_source_create(folder_path, 3, &source, &info, &err), &err);
+    assert_false(info.photometric);
+    assert_true(isnan(info.told));
+    near(source->flux, set.flux, 1e-5 * set.flux);
+    again = box_of(source, 100000, &report);
+    near(report.flux_out, source->flux, 1e-4 * source->flux);
+    /* On the axis of a square of side a and exitance M at height h: E = 4 M/(2 pi) * 2 k/sqrt(1+k^2) atan(k/sqrt(1+k^2)), k = a/(2h) */
+    static const double HEIGHTS[3] = {0.5e-3, 1e-3, 2e-3};
+    for (int i = 0; i < 3; ++i) {
+        const double h = HEIGHTS[i], k = 0.5e-3 / h, q = k / sqrt(1 + k * k);
+        const double expected = 1e6 * 4 / (2 * PI) * 2 * q * atan(q);
+        double rgb[3];
+        check(lmg_field_illuminance(again, (lmg_vec3){0, 0, h}, (lmg_vec3){0, 0, -1}, rgb, NULL, &err), &err);
+        print_message("E at %g mm: %.4g of %.4g\n", 1e3 * h, rgb[1], expected);
+        near(rgb[1], expected, 0.03 * expected);
+    }
+    source->destroy(source);
+    lmg_field_destroy(again);
+
+    /* damage */
+    char name[512], kept[512];
+    snprintf(name, sizeof(name), "%s/p00020.exr", folder_path);
+    snprintf(kept, sizeof(kept), "%s/p00030.exr", folder_path);
+    assert_int_equal(truncate(name, 500), 0);
+    set_refused(folder_path, LMG_ERROR_FILE_READ, "p00020.exr");
+    put_file(name, "no picture");
+    set_refused(folder_path, LMG_ERROR_FILE_FORMAT, "p00020.exr");
+    unlink(name);
+    set_refused(folder_path, LMG_ERROR_FILE_OPEN, "p00020.exr");
+    static const struct {
+        const char *text, *why;
+    } INDEXES[] = {
+        {"", "line 1"},
+        {"{\"format\": 3}", "format"},
+        {"{\"format\": \"lumibox luminance pictures 1\"}", "theta_degrees"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [30, 20], \"phi_degrees\": [0]}", "rise"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [360]}", "rise"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [0]}", "unit"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [0], \"unit\": \"cd/m2\"}", "camera"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [0], \"unit\": \"cd/m2\", "
+         "\"camera\": {\"width\": 9, \"height\": 9, \"field_degrees\": 20}}",
+         "centre_m"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [0], \"unit\": \"cd/m2\", "
+         "\"camera\": {\"width\": 9, \"height\": 9, \"field_degrees\": 20}, \"centre_m\": [0,0,0], \"axis\": [0,0,2], \"zero\": [1,0,0], "
+         "\"bounds_min_m\": [-1,-1,-1], \"bounds_max_m\": [1,1,1]}",
+         "right angles"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [0], \"unit\": \"cd/m2\", "
+         "\"camera\": {\"width\": 9, \"height\": 9, \"field_degrees\": 20}, \"centre_m\": [0,0,0], \"axis\": [0,0,1], \"zero\": [1,0,0], "
+         "\"bounds_min_m\": [-1,-1,-1], \"bounds_max_m\": [1,1,1], \"distance_m\": 1.7}",
+         "outside of the bounds"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [0], \"unit\": \"cd/m2\", "
+         "\"camera\": {\"width\": 9, \"height\": 9, \"field_degrees\": 20}, \"centre_m\": [0,0,0], \"axis\": [0,0,1], \"zero\": [1,0,0], "
+         "\"bounds_min_m\": [-1,-1,-1], \"bounds_max_m\": [1,1,1], \"distance_m\": 3, \"pictures\": [[\"../p00030.exr\"]]}",
+         "isn't a file in the folder"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [0], \"unit\": \"cd/m2\", "
+         "\"camera\": {\"width\": 9, \"height\": 9, \"field_degrees\": 20}, \"centre_m\": [0,0,0], \"axis\": [0,0,1], \"zero\": [1,0,0], "
+         "\"bounds_min_m\": [-1,-1,-1], \"bounds_max_m\": [1,1,1], \"distance_m\": 3, \"pictures\": [[\"p00030.exr\"]]}",
+         "48 x 48 pixels"},
+        {"{\"format\": \"lumibox luminance pictures 1\", \"theta_degrees\": [20], \"phi_degrees\": [0], \"unit\": \"cd/m2\", "
+         "\"camera\": {\"width\": 9, \"height\": 9, \"field_degrees\": 20}, \"centre_m\": [0,0,0], \"axis\": [0,0,1], \"zero\": [1,0,0], "
+         "\"bounds_min_m\": [-1,-1,-1], \"bounds_max_m\": [1,1,1], \"distance_m\": 3, \"pictures\": [[null]]}",
+         "no light"},
+    };
+    snprintf(name, sizeof(name), "%s/index.json", folder_path);
+    for (size_t i = 0; i < sizeof(INDEXES) / sizeof(INDEXES[0]); ++i) {
+        put_file(name, INDEXES[i].text);
+        set_refused(folder_path, i + 1 == sizeof(INDEXES) / sizeof(INDEXES[0]) ? LMG_ERROR_INPUT : LMG_ERROR_FILE_FORMAT, INDEXES[i].why);
+    }
+    remove_set(folder_path);
+    lmg_field_destroy(field);
+    close_rays(&o);
+    unlink(path_of("square.tm25ray"));
+}
+
+/* What a photometer at one diameter takes for the intensity of a Lambertian disc: 0.8 of it on the axis. */
+static void application_distance(void **state)
+{
+    (void)state;
+    write_lambertian(path_of("disc.ray"), 1000000, false, false, true, LUM_RAYS_LIGHTTOOLS);
+    opened o = open_rays(path_of("disc.ray"));
+    lmg_error err = {{0}};
+    static const double DISTANCES[4] = {0, 1e-3, 5e-3, 0.5e-3};
+    for (int i = 0; i < 4; ++i) {
+        const bake_convert_options options = {.near = DISTANCES[i]};
+        bake_conversion report;
+        lum_photometry *p;
+        const lmg_result result = bake_convert_to_photometry(o.source, &options, &p, &report, &err);
+        if (i == 3) { /* inside of it */
+            assert_int_equal(result, LMG_ERROR_ARGUMENT);
+            break;
+        }
+        check(result, &err);
+        near(report.flux_out, 1, 1e-4);
+        const double d = DISTANCES[i], expected = (d > 0 ? d * d / (d * d + 0.25e-6) : 1) / PI;
+        double sum = 0; /* 2 degrees off the axis, from eight sides: a grid point alone is noisy */
+        for (int k = 0; k < 8; ++k)
+            sum += lum_photometry_intensity(p, (lmg_vec3){0.035 * cos(k * PI / 4), 0.035 * sin(k * PI / 4), sqrt(1 - 0.035 * 0.035)}) / 8;
+        print_message("at %g mm: %.4f of %.4f lm/sr\n", 1e3 * d, sum, expected);
+        /* some 15,000 rays within 5 degrees, even ones */
+        near(sum, expected, 0.015 * expected);
+        lum_photometry_destroy(p);
+    }
+    close_rays(&o);
+    unlink(path_of("disc.ray"));
+}
+
 /* The same rays through every format and any number of threads: the same light, the same bytes. */
 static void threads(void **state)
 {
@@ -491,6 +654,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(measured_near_field),          cmocka_unit_test(lambertian_square), cmocka_unit_test(half_intensity),
         cmocka_unit_test(sampled_rays_give_the_box_back), cmocka_unit_test(threads),
+        cmocka_unit_test(goniometer_pictures),          cmocka_unit_test(application_distance),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }
