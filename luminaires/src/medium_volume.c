@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
  * Flights through lattices of density: a walk from brick to brick, and from cell to cell where the lattice says that this pays
- * [amanatides1987traversal], with tentative collisions at the rate of the local bound; see medium.h.
+ * [amanatides1987], with tentative collisions at the rate of the local bound; see medium.h.
  */
 #include "medium_grid.h"
 

@@ -7,12 +7,12 @@
  *
  * Flights.  A photon of luminance 1 whose colours hold the given shares of it flies up to t_max and passes, is scattered or is
  * absorbed.  Which of these, and where, is drawn in proportion to luminance: with p_c the share of colour c, the distance has the
- * density  sum_c p_c sigma_c exp(-sigma_c t),  the single-sample balance heuristic over the colours [miller2019null, eq. 21; the
+ * density  sum_c p_c sigma_c exp(-sigma_c t),  the single-sample balance heuristic over the colours [miller2019null; the
  * choice of p_c is ours].  The photon's colours are then multiplied by factor[c], and its luminance stays exactly 1, so it is
  * thinned out in number and never in weight.  For a grey medium all factors are 1.  Shares may be negative (light out of the
  * gamut): then |p_c| is taken, and the luminance afterwards is sum_c share_c factor_c, in any case unbiased.
  *
- * Varying density is met by null collisions [woodcock1965techniques, novak2018monte]: tentative collisions at the rate of a local
+ * Varying density is met by null collisions [woodcock1965, novak2018]: tentative collisions at the rate of a local
  * bound of the density, of which a share is real.  The bounds are those of bricks of 8^3 cells, and of single cells where a brick's
  * bound is far above what is in it, so a few bright voxels slow down nothing but their neighbourhood.
  *
