@@ -46,6 +46,15 @@ double bake_share_error(double part, double photons)
     return sqrt(p * (1 - p) / photons);
 }
 
+double bake_light_error(const bake_tally *tally, double part)
+{
+    const double n = (double)tally->photons;
+    if (!(tally->escaped_squares > 0) || !(tally->escaped > 0) || !(n > 0))
+        return bake_share_error(part, n);
+    const double mean = part / n, square = mean * tally->escaped_squares / tally->escaped;
+    return sqrt(fmax(square - mean * mean, 0) / n);
+}
+
 /* ------------------------------------------------------------------------------------------------------------ ray list */
 
 struct bake_ray_list {

@@ -89,4 +89,7 @@ double bake_clock(void);
  * binomial. */
 double bake_share_error(double part, double photons);
 
+/* The same of `part` of the light that escaped, also where photons carry different amounts. */
+double bake_light_error(const bake_tally *tally, double part);
+
 #endif

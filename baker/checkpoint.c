@@ -28,7 +28,7 @@ static const char MAGIC[] = "lumibox part 1 ";
 enum { LINE = sizeof(MAGIC) - 1 + 10 + 1, TRAILER = 1 + 16 + 1 };
 
 /* The numbers of a part by name.  A new member of bake_tally belongs here and in add_tally (part.c). */
-_Static_assert(sizeof(bake_tally) == 56, "NUMBERS and add_tally must list every member of bake_tally");
+_Static_assert(sizeof(bake_tally) == 64, "NUMBERS and add_tally must list every member of bake_tally");
 static const struct {
     const char *name;
     size_t offset;
@@ -39,6 +39,7 @@ static const struct {
     {"seconds", offsetof(bake_part, seconds)},
     {"emitted", offsetof(bake_part, tally.emitted)},
     {"escaped", offsetof(bake_part, tally.escaped)},
+    {"escaped_squares", offsetof(bake_part, tally.escaped_squares)},
     {"absorbed", offsetof(bake_part, tally.absorbed)},
     {"lost", offsetof(bake_part, tally.lost)},
     {"lost_inside", offsetof(bake_part, tally.lost_inside)},

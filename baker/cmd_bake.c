@@ -353,7 +353,7 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n",
            l.photons, r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
     print_ledger(&l);
-    printf("  efficiency %.4f %% +- %.2g %%\n", 100 * share, 100 * bake_share_error(share * n, n));
+    printf("  efficiency %.4f %% +- %.2g %%\n", 100 * share, 100 * bake_light_error(&r->tally, share * n));
     uint64_t cells = 0;
     for (uint32_t i = 0; i < y->slab_count; ++i)
         cells += (uint64_t)y->slabs[i].nu * y->slabs[i].nv * y->slabs[i].ns * y->slabs[i].nt;

@@ -331,7 +331,7 @@ static lmg_result run(bake_source *const sources[2], const bake_compare_options 
         out->seconds[s] = bake_clock() - began;
         const double share = t->escaped / (double)t->photons;
         out->flux[s] = sources[s]->flux * share;
-        out->flux_se[s] = hypot(sources[s]->flux * bake_share_error(t->escaped, (double)t->photons), sources[s]->flux_se * share);
+        out->flux_se[s] = hypot(sources[s]->flux * bake_light_error(t, t->escaped), sources[s]->flux_se * share);
     }
     return result;
 }

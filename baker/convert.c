@@ -204,7 +204,7 @@ lmg_result bake_convert_to_rays(bake_source *source, const bake_convert_options 
         lum_ray_writer_abandon(writer);
     report->photons = photons;
     report->flux_in = tally.escaped * unit;
-    report->out_se = source->photons ? 0 : source->flux * bake_share_error(tally.escaped, (double)photons);
+    report->out_se = source->photons ? 0 : source->flux * bake_light_error(&tally, tally.escaped);
     report->seconds = bake_clock() - began;
     return result;
 }
@@ -282,7 +282,7 @@ lmg_result bake_convert_to_photometry(bake_source *source, const bake_convert_op
         report->rays = (uint64_t)llround(tally.escaped);
         report->flux_in = tally.escaped * unit;
         report->flux_out = measures.flux;
-        report->out_se = source->flux * bake_share_error(tally.escaped, (double)photons);
+        report->out_se = source->flux * bake_light_error(&tally, tally.escaped);
         report->noise = sqrt(noise / signal);
     } else {
         lum_photometry_destroy(*out);

@@ -142,6 +142,7 @@ static void add_tally(bake_tally *sum, const bake_tally *t)
     sum->photons += t->photons;
     sum->emitted += t->emitted;
     sum->escaped += t->escaped;
+    sum->escaped_squares += t->escaped_squares;
     sum->absorbed += t->absorbed;
     sum->lost += t->lost;
     sum->segments += t->segments;
@@ -208,9 +209,10 @@ static lmg_ledger balance(const bake_part *part, double flux)
         .residual = d.residual * lm,
         .absorbed = t->absorbed * lm,
         .lost = lost * lm,
-        .stored_se = all * bake_share_error(d.stored, n),
-        .residual_se = all * bake_share_error(d.residual, n),
-        .absorbed_se = all * bake_share_error(t->absorbed, n),
+        .stored_se = all * bake_light_error(t, d.stored),
+        .residual_se = all * bake_light_error(t, d.residual),
+        /* Of photons that all carry the same, any part is binomial; else what is absorbed is what doesn't come out. */
+        .absorbed_se = all * (t->escaped_squares > 0 ? bake_light_error(t, t->escaped) : bake_share_error(t->absorbed, n)),
         .lost_se = all * bake_share_error(lost, n),
     };
 }

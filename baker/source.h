@@ -14,6 +14,7 @@ typedef struct bake_tally {
     uint64_t photons;
     double emitted, escaped, absorbed, lost;
     uint64_t segments;  /* ray segments traced */
+    double escaped_squares; /* sum of the squares of what escaped photons carry; 0 = each of them carries 1 */
     double lost_inside; /* part of lost: left through an open boundary while inside a solid */
 } bake_tally;
 

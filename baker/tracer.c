@@ -97,6 +97,7 @@ static lmg_result run(bake_source *source, uint64_t first, uint64_t count, unsig
     const double photon = 1.0 / TRACER_UNITS(t->kernel->features); /* a power of two: sums stay exact */
     tally->emitted += (double)j.counts.photons;
     tally->escaped += (double)j.counts.escaped * photon;
+    tally->escaped_squares += (double)j.counts.escaped_squares * photon;
     tally->absorbed += (double)j.counts.absorbed * photon;
     tally->lost += (double)j.counts.lost * photon;
     tally->lost_inside += (double)j.counts.lost_inside * photon;

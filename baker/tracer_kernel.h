@@ -352,6 +352,7 @@ static inline void escape(const tracer *t, worker *w, uint32_t i)
     ray->number = p->number;
 #if KERNEL_FEATURES & TRACER_SPECTRAL
     if (t->spectral) {
+        w->counts.escaped_squares += llround((double)p->units * (double)p->units / TRACER_UNITS(KERNEL_FEATURES));
         double rgb[3];
         bake_waves_rgb(t->spectral, &p->waves, rgb);
         for (int k = 0; k < 3; ++k)
@@ -855,6 +856,7 @@ static void end(void *self, void *state)
     bake_batch_flush(&w->batch);
     j->counts.photons += w->counts.photons;
     j->counts.escaped += w->counts.escaped;
+    j->counts.escaped_squares += w->counts.escaped_squares;
     j->counts.absorbed += w->counts.absorbed;
     j->counts.lost += w->counts.lost;
     j->counts.lost_inside += w->counts.lost_inside;

@@ -66,6 +66,7 @@ typedef struct tracer {
 
 typedef struct tracer_counts {
     int64_t photons, segments;
+    int64_t escaped_squares; /* of TRACER_SPECTRAL, in its units */
     int64_t escaped, absorbed, lost, lost_inside; /* TRACER_UNITS each photon */
 } tracer_counts;
 

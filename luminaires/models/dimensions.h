@@ -125,6 +125,34 @@
 #define PANEL_LED_GAP 0.0005     /* between LEDs and plate, LEDs and tray, and twice above the plate */
 #define PANEL_TRAY 0.95
 
+/* ---------------------------------------------------------------------------------------------------------- prism-lamp */
+/*
+ * An equilateral prism of N-SF11, side s, in the beam of a spot light (half angle PRISM_CONE): for the d line (587.6 nm) the ray in the
+ * middle passes at the angle of least deviation, through the middles of both faces, and leaves straight down.
+ *   incidence               sin i = n sin 30 deg
+ *   deviation               2 i - 60 deg at the d line; at n: exit angle asin(n sin(60 deg - asin(sin i / n)))
+ *   F to C line             4.00 deg
+ * Light not refracted at both faces is reflected inside and leaves elsewhere.
+ */
+#define PRISM_FLUX 100.0    /* lumens of the spot light */
+#define PRISM_IOR 1.7847173 /* n_d of N-SF11 */
+#define PRISM_ABBE 25.68
+#define PRISM_SIDE 0.040
+#define PRISM_LENGTH 0.040
+#define PRISM_CONE 0.0087266462599716479 /* 0.5 degrees */
+#define PRISM_DISTANCE 0.100             /* from the light to the prism's face */
+
+/* -------------------------------------------------------------------------------------------------------- phosphor-led */
+/*
+ * A blue LED chip at the bottom of a white cup, under a layer of yellow phosphor that closes the cup.  The recipe has the spectra:
+ * chip 1 W about 450 nm; the layer absorbs 75 % there, emits 0.9 photons per photon absorbed, half of them outwards.
+ */
+#define PHOSPHOR_CUP_RADIUS 0.003
+#define PHOSPHOR_CUP_DEPTH 0.0015
+#define PHOSPHOR_CHIP 0.001 /* side */
+#define PHOSPHOR_BODY 0.005 /* side of the white package round it */
+#define PHOSPHOR_CUP_REFLECTANCE 0.95
+
 /* ----------------------------------------------------------------------------------------------------------------- room */
 /* Floor at y = 0, middle of the floor at x = z = 0.  A lamp hangs at ROOM_LAMP_HEIGHT over the middle. */
 #define ROOM_LENGTH 5.0 /* along x */

@@ -10,7 +10,7 @@
 
 struct gltf_file {
     const char *name;
-    json_t *nodes, *meshes, *materials, *cameras, *accessors, *views, *extensions;
+    json_t *nodes, *meshes, *materials, *cameras, *lights, *accessors, *views, *extensions;
     unsigned char *buffer;
     size_t size, room;
 };
@@ -107,6 +107,9 @@ static size_t add_material(gltf_file *file, const gltf_material *m)
         use_extension(file, extensions, "KHR_materials_transmission", json_pack("{s:f}", "transmissionFactor", 1.0));
         use_extension(file, extensions, "KHR_materials_volume", json_pack("{s:f}", "thicknessFactor", m->thickness));
         use_extension(file, extensions, "KHR_materials_ior", json_pack("{s:f}", "ior", m->ior));
+        if (m->abbe > 0) {
+            use_extension(file, extensions, "KHR_materials_dispersion", json_pack("{s:f}", "dispersion", 20 / m->abbe));
+        }
     }
     if (json_object_size(extensions) > 0) {
         json_object_set(material, "extensions", extensions);
@@ -130,6 +133,7 @@ gltf_file *gltf_begin(const char *name)
     file->meshes = json_array();
     file->materials = json_array();
     file->cameras = json_array();
+    file->lights = json_array();
     file->accessors = json_array();
     file->views = json_array();
     file->extensions = json_array();
@@ -169,9 +173,9 @@ void gltf_add(gltf_file *file, const char *node, const mesh *m, const gltf_mater
     json_array_append_new(file->nodes, json_pack("{s:s, s:I}", "name", node, "mesh", (json_int_t)json_array_size(file->meshes) - 1));
 }
 
-void gltf_add_camera(gltf_file *file, const char *name, const double eye[3], const double target[3], double yfov, double aspect)
+/* Matrix of a node at eye that looks along -Z to target with +Y up, in columns: z = eye - target, x = up cross z, y = z cross x. */
+static json_t *looking_at(const double eye[3], const double target[3])
 {
-    /* glTF cameras look along -Z with +Y up: the node's axes are z = eye - target, x = up cross z, y = z cross x, in columns. */
     double z[3] = {eye[0] - target[0], eye[1] - target[1], eye[2] - target[2]};
     double length = sqrt(z[0] * z[0] + z[1] * z[1] + z[2] * z[2]);
     for (int i = 0; i < 3; i++) {
@@ -180,11 +184,26 @@ void gltf_add_camera(gltf_file *file, const char *name, const double eye[3], con
     double across = hypot(z[2], z[0]), x[3] = {z[2] / across, 0, -z[0] / across};
     double y[3] = {z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]};
     double matrix[16] = {x[0], x[1], x[2], 0, y[0], y[1], y[2], 0, z[0], z[1], z[2], 0, eye[0], eye[1], eye[2], 1};
+    return vector(matrix, 16);
+}
+
+void gltf_add_camera(gltf_file *file, const char *name, const double eye[3], const double target[3], double yfov, double aspect)
+{
     json_array_append_new(file->cameras,
                           json_pack("{s:s, s:s, s:{s:f, s:f, s:f, s:f}}", "name", name, "type", "perspective", "perspective", "yfov",
                                     yfov, "aspectRatio", aspect, "znear", 0.01, "zfar", 100.0));
     json_array_append_new(file->nodes, json_pack("{s:s, s:I, s:o}", "name", name, "camera",
-                                                 (json_int_t)json_array_size(file->cameras) - 1, "matrix", vector(matrix, 16)));
+                                                 (json_int_t)json_array_size(file->cameras) - 1, "matrix", looking_at(eye, target)));
+}
+
+void gltf_add_spot(gltf_file *file, const char *name, const double eye[3], const double target[3], double candela, double cone)
+{
+    static const char *const extension = "KHR_lights_punctual";
+    json_array_append_new(file->lights, json_pack("{s:s, s:s, s:f, s:{s:f, s:f}}", "name", name, "type", "spot", "intensity", candela,
+                                                  "spot", "innerConeAngle", 0.999 * cone, "outerConeAngle", cone));
+    json_t *extensions = json_object();
+    use_extension(file, extensions, extension, json_pack("{s:I}", "light", (json_int_t)json_array_size(file->lights) - 1));
+    json_array_append_new(file->nodes, json_pack("{s:s, s:o, s:o}", "name", name, "matrix", looking_at(eye, target), "extensions", extensions));
 }
 
 void gltf_end(gltf_file *file, const char *folder)
@@ -204,6 +223,9 @@ void gltf_end(gltf_file *file, const char *folder)
     }
     if (json_array_size(file->cameras) > 0) {
         json_object_set(root, "cameras", file->cameras);
+    }
+    if (json_array_size(file->lights) > 0) {
+        json_object_set_new(root, "extensions", json_pack("{s:{s:O}}", "KHR_lights_punctual", "lights", file->lights));
     }
     if (json_array_size(file->extensions) > 0) {
         json_object_set(root, "extensionsUsed", file->extensions);
@@ -225,6 +247,7 @@ void gltf_end(gltf_file *file, const char *folder)
     }
     json_decref(root);
     json_decref(file->cameras);
+    json_decref(file->lights);
     json_decref(file->extensions);
     free(file->buffer);
     free(file);

@@ -15,6 +15,7 @@ typedef struct gltf_material {
     double emission_color[3], luminance; /* colour of any scale; cd/m2.  luminance 0: doesn't emit */
     double diffuse_transmission;         /* KHR_materials_diffuse_transmission; passed light has the base colour */
     double ior;                          /* > 0: clear solid glass (KHR_materials_transmission, volume, ior) */
+    double abbe;                         /* > 0: its Abbe number (KHR_materials_dispersion) */
     double thickness;                    /* m, of that solid: advice to rasterizers */
     bool double_sided;
 } gltf_material;
@@ -25,6 +26,8 @@ gltf_file *gltf_begin(const char *name);
 /* Adds a mesh in a node of its own.  Both are borrowed until the call returns. */
 void gltf_add(gltf_file *file, const char *node, const mesh *m, const gltf_material *material);
 void gltf_add_camera(gltf_file *file, const char *name, const double eye[3], const double target[3], double yfov, double aspect);
+/* A spot light of KHR_lights_punctual: candela within the cone's half angle (radians), which has a sharp edge. */
+void gltf_add_spot(gltf_file *file, const char *name, const double eye[3], const double target[3], double candela, double cone);
 /* Writes <folder>/<name>.gltf and .bin and frees everything; ends the program with a message when it can't. */
 void gltf_end(gltf_file *file, const char *folder);
 

@@ -21,6 +21,8 @@ int main(int argc, char **argv)
                   {"opal-ball", make_opal_ball},
                   {"smoke-lamp", make_smoke_lamp},
                   {"edge-lit-panel", make_edge_lit_panel},
+                  {"prism-lamp", make_prism_lamp},
+                  {"phosphor-led", make_phosphor_led},
                   {"room", make_room}};
 
     if (argc != 2 || argv[1][0] == '-') {

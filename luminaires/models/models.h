@@ -11,6 +11,8 @@ void make_opal_ball(const char *folder);
 /* Also writes smoke.vdb; needs OpenVDB. */
 void make_smoke_lamp(const char *folder);
 void make_edge_lit_panel(const char *folder);
+void make_prism_lamp(const char *folder);
+void make_phosphor_led(const char *folder);
 void make_room(const char *folder);
 
 #endif

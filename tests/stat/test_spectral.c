@@ -122,7 +122,10 @@ static bake_tally trace(const lum_model *model, uint64_t seed, uint64_t photons,
     assert_true(t.emitted == (double)photons);
     assert_true(t.lost == 0);
     if (!c->take)
+    {
         assert_true(fabs(c->sum[1] - t.escaped) <= 1e-6 * t.escaped); /* floats of R,G,B */
+        assert_true(t.escaped_squares == 0 || fabs(c->squares[1] - t.escaped_squares) <= 2e-6 * t.escaped_squares);
+    }
     return t;
 }
 
