@@ -14,6 +14,7 @@ static const char *const NAMES[BAKE_EFFECT_COUNT] = {
     [BAKE_EMISSION_TEXTURED] = "textured-emission",
     [BAKE_EMISSION_POINT] = "point-lights",
     [BAKE_EMISSION_SPOT] = "spot-lights",
+    [BAKE_EMISSION_PROFILE] = "profile-lights",
     [BAKE_DIFFUSE] = "diffuse",
     [BAKE_MIRROR] = "mirror",
     [BAKE_CONDUCTOR_SMOOTH] = "conductor-smooth",
@@ -130,6 +131,8 @@ uint32_t bake_effects_of(const lum_model *model)
             e |= bit(BAKE_EMISSION_POINT);
         if (model->lights[i].kind == LUM_LIGHT_SPOT)
             e |= bit(BAKE_EMISSION_SPOT);
+        if (model->lights[i].kind == LUM_LIGHT_PROFILE)
+            e |= bit(BAKE_EMISSION_PROFILE);
     }
     return e;
 }

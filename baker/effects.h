@@ -17,6 +17,7 @@ typedef enum bake_effect {
     BAKE_EMISSION_TEXTURED,
     BAKE_EMISSION_POINT,
     BAKE_EMISSION_SPOT,
+    BAKE_EMISSION_PROFILE, /* the angular profile of a photometric file */
     BAKE_DIFFUSE,
     BAKE_MIRROR, /* smooth, all angles alike */
     BAKE_CONDUCTOR_SMOOTH,
@@ -46,7 +47,8 @@ typedef enum bake_effect {
 
 /* What a source shows by itself: can't be left out. */
 #define BAKE_EMISSION_BITS                                                                                                         \
-    (1u << BAKE_EMISSION_AREA | 1u << BAKE_EMISSION_TEXTURED | 1u << BAKE_EMISSION_POINT | 1u << BAKE_EMISSION_SPOT)
+    (1u << BAKE_EMISSION_AREA | 1u << BAKE_EMISSION_TEXTURED | 1u << BAKE_EMISSION_POINT | 1u << BAKE_EMISSION_SPOT | \
+     1u << BAKE_EMISSION_PROFILE)
 
 const char *bake_effect_name(bake_effect effect);
 

@@ -444,7 +444,8 @@ void bake_plan_where(const lum_model *model, bake_effect effect, char *text, siz
     }
     for (uint32_t i = 0; i < model->light_count && used < size; ++i)
         if ((effect == BAKE_EMISSION_POINT && model->lights[i].kind == LUM_LIGHT_POINT) ||
-            (effect == BAKE_EMISSION_SPOT && model->lights[i].kind == LUM_LIGHT_SPOT)) {
+            (effect == BAKE_EMISSION_SPOT && model->lights[i].kind == LUM_LIGHT_SPOT) ||
+            (effect == BAKE_EMISSION_PROFILE && model->lights[i].kind == LUM_LIGHT_PROFILE)) {
             const int n = snprintf(text + used, size - used, "%s\"%.40s\"", used ? ", " : "", model->lights[i].name);
             used += n > 0 ? (size_t)n : 0;
         }

@@ -271,7 +271,7 @@ lmg_result bake_tracer_survey(const bake_source *source, uint64_t first, uint64_
     for (uint32_t i = 0; i < materials; ++i)
         effects[i] = bake_effects_of_material(&t->model->materials[i]);
     tracer_survey notes = {.effects = effects,
-                           .lights = bake_effects_of(t->model) & (1u << BAKE_EMISSION_POINT | 1u << BAKE_EMISSION_SPOT),
+                           .lights = bake_effects_of(t->model) & (1u << BAKE_EMISSION_POINT | 1u << BAKE_EMISSION_SPOT | 1u << BAKE_EMISSION_PROFILE),
                            .scattering = bake_effects_of(t->model) & (1u << BAKE_MEDIUM | 1u << BAKE_VOLUMES),
                            .ended = ended};
     tracer_job j = {.tracer = t, .survey = &notes, .trap_taken = ATOMIC_FLAG_INIT};

@@ -17,6 +17,12 @@ static uint32_t pick(const alias_entry *table, uint32_t n, double u)
     return x - i < table[i].keep ? i : table[i].other;
 }
 
+/* A vector of a profile light's own frame, in the model's. */
+static lmg_vec3 in_model(const lum_light *light, lmg_vec3 v)
+{
+    return vec_along(vec_along(vec_scale(light->axes[0], v.x), light->axes[1], v.y), light->axes[2], v.z);
+}
+
 /* Share of a spot's axial intensity at cosine c. */
 static double spot_falloff(const punctual *p, double c)
 {
@@ -75,7 +81,12 @@ void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], doubl
         out->origin = p->light.position;
         out->material = LUM_NONE;
         memcpy(out->flux, p->colour, sizeof out->flux);
-        if (p->light.kind == LUM_LIGHT_POINT) {
+        if (p->light.kind == LUM_LIGHT_PROFILE) {
+            const double on[3] = {xi[1], xi[2], xi[3]};
+            const lmg_vec3 d = lum_profile_direction(p->light.profile, next, state);
+            out->direction = in_model(&p->light, d);
+            out->origin = vec_add(out->origin, in_model(&p->light, lum_shape_point(&p->light.shape, d, on)));
+        } else if (p->light.kind == LUM_LIGHT_POINT) {
             out->direction = vec_about(vec(0, 0, 1), 2 * xi[1] - 1, xi[2]);
         } else {
             double c;
@@ -255,7 +266,14 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
             out->direction = vec_scale(light->light.direction, -1);
             out->distance = INFINITY;
         } else {
-            lmg_vec3 d = vec_sub(light->light.position, p);
+            lmg_vec3 at = light->light.position;
+            if (light->light.kind == LUM_LIGHT_PROFILE) {
+                /* Uniform over a flat shape, whatever the direction: its radiance is intensity over projected area, so the point's
+                 * share of illuminance is intensity over distance squared. */
+                const double on[3] = {xi[1], xi[2], 0};
+                at = vec_add(at, in_model(&light->light, lum_shape_point(&light->light.shape, vec(0, -1, 0), on)));
+            }
+            lmg_vec3 d = vec_sub(at, p);
             double d2 = vec_dot(d, d);
             if (!(d2 > 0)) {
                 return false;
@@ -265,6 +283,10 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
             factor = 1 / d2;
             if (light->light.kind == LUM_LIGHT_SPOT) {
                 factor *= spot_falloff(light, -vec_dot(out->direction, light->light.direction));
+            } else if (light->light.kind == LUM_LIGHT_PROFILE) {
+                const lmg_vec3 *axes = light->light.axes, back = vec_scale(out->direction, -1);
+                factor *= lum_profile_intensity(light->light.profile,
+                                                vec(vec_dot(back, axes[0]), vec_dot(back, axes[1]), vec_dot(back, axes[2])));
             }
         }
         for (int c = 0; c < 3; c++) {

@@ -218,7 +218,9 @@ static void fill_light(const lum_model *model, const lum_light *light, punctual 
     if (!(y > 0)) {
         return;
     }
-    if (light->kind == LUM_LIGHT_POINT) {
+    if (light->kind == LUM_LIGHT_PROFILE) {
+        p->power = y * lum_profile_flux(light->profile);
+    } else if (light->kind == LUM_LIGHT_POINT) {
         p->power = 4 * LUM_PI * y;
     } else if (light->kind == LUM_LIGHT_SPOT) {
         /* KHR_lights_punctual: intensity times a^2, a = (cos - cos_outer) / max(0.001, cos_inner - cos_outer) clamped to [0,1]. */

@@ -210,7 +210,10 @@ static const rule mesh_rules[] = {STRING("name"), OBJECTS("primitives", true, pr
                                   NUMBERS_("weights", 0, SIZE_MAX, -INFINITY, INFINITY), EXTENSIONS(nothing), END};
 static const rule node_light_rules[] = {INDEX("light", true, "lights"), END};
 static const rule instancing_rules[] = {INDEX_MAP("attributes", true, "accessors"), END};
+static const rule node_profile_rules[] = {INDEX("light", true, "profiles"), NUMBER("multiplier", POSITIVE),
+                                          NUMBERS("color", 3, POSITIVE), END};
 static const rule node_extensions[] = {OBJECT("KHR_lights_punctual", false, node_light_rules),
+                                       OBJECT("EXT_lights_ies", false, node_profile_rules),
                                        OBJECT("EXT_mesh_gpu_instancing", false, instancing_rules), END};
 static const rule node_rules[] = {STRING("name"),
                                   INDEX("mesh", false, "meshes"),
@@ -259,7 +262,10 @@ static const rule light_rules[] = {STRING("name"),
                                    EXTENSIONS(nothing),
                                    END};
 static const rule lights_rules[] = {OBJECTS("lights", true, light_rules), END};
-static const rule root_extensions[] = {OBJECT("KHR_lights_punctual", false, lights_rules), END};
+static const rule profile_rules[] = {STRING("name"), STRING("uri"), STRING("mimeType"), INDEX("bufferView", false, "bufferViews"), END};
+static const rule profiles_rules[] = {OBJECTS("lights", true, profile_rules), END};
+static const rule root_extensions[] = {OBJECT("KHR_lights_punctual", false, lights_rules),
+                                       OBJECT("EXT_lights_ies", false, profiles_rules), END};
 static const rule asset_rules[] = {STRING("version"), STRING("minVersion"), END};
 static const rule root_rules[] = {OBJECT("asset", true, asset_rules),
                                   OBJECTS("buffers", false, buffer_rules),
@@ -286,7 +292,7 @@ static const char *const understood[] = {"KHR_texture_transform",  "KHR_material
                                           "KHR_materials_specular", "KHR_materials_clearcoat",
                                           "KHR_materials_sheen",    "KHR_materials_anisotropy",
                                           "KHR_materials_iridescence",
-                                         "KHR_materials_unlit",    "KHR_lights_punctual",
+                                         "KHR_materials_unlit",    "KHR_lights_punctual",    "EXT_lights_ies",
                                          "KHR_mesh_quantization",  "KHR_materials_variants",
                                          "EXT_mesh_gpu_instancing", "KHR_materials_dispersion"};
 
@@ -342,12 +348,14 @@ static lmg_result bad(const walk *w, const char *format, ...)
     return lmg_fail(w->err, LMG_ERROR_INPUT, "%s: %s", *w->path ? w->path : "document", text);
 }
 
-/* Number of elements of a top-level array; "lights" lives in an extension. */
+/* Number of elements of a top-level array; "lights" and "profiles" (of EXT_lights_ies) live in extensions. */
 static size_t array_size(const json_t *root, const char *name)
 {
     const json_t *array = json_object_get(root, name);
     if (strcmp(name, "lights") == 0)
         array = json_object_get(json_object_get(json_object_get(root, "extensions"), "KHR_lights_punctual"), "lights");
+    if (strcmp(name, "profiles") == 0)
+        array = json_object_get(json_object_get(json_object_get(root, "extensions"), "EXT_lights_ies"), "lights");
     return json_array_size(array);
 }
 

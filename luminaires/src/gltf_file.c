@@ -7,6 +7,8 @@
 #include "gltf_file.h"
 #include "text.h"
 
+#include <luminaires/photometry.h>
+
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
@@ -308,26 +310,26 @@ static lmg_result load_buffers(loading *l, lmg_error *err)
     return LMG_OK;
 }
 
-/* Notes where each image is and takes the list out of the document. */
-static lmg_result list_images(loading *l, lmg_error *err)
+/* Notes where the bytes of each entry of an array are: images, or the photometric files of EXT_lights_ies. */
+static lmg_result list_entries(loading *l, const json_t *array, const char *kind, const char *kinds, gltf_image **out,
+                               uint32_t *count, lmg_error *err)
 {
-    const json_t *images = json_object_get(l->root, "images");
-    size_t n = json_array_size(images);
-    l->file->images = calloc(n + 1, sizeof *l->file->images);
-    if (!l->file->images)
+    size_t n = json_array_size(array);
+    *out = calloc(n + 1, sizeof **out);
+    if (!*out)
         return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory");
-    l->file->image_count = (uint32_t)n;
+    *count = (uint32_t)n;
     for (size_t i = 0; i < n; i++) {
-        gltf_image *image = &l->file->images[i];
-        const json_t *entry = json_array_get(images, i);
+        gltf_image *image = &(*out)[i];
+        const json_t *entry = json_array_get(array, i);
         const char *uri = json_string_value(json_object_get(entry, "uri"));
         const char *name = json_string_value(json_object_get(entry, "name"));
         const json_t *view = json_object_get(entry, "bufferView");
         const char *label = uri && !is_data_uri(uri) ? uri : name;
         if (label && *label)
-            snprintf(image->label, sizeof image->label, "image \"%.80s\"", label);
+            snprintf(image->label, sizeof image->label, "%s \"%.70s\"", kind, label);
         else
-            snprintf(image->label, sizeof image->label, "images[%zu]", i);
+            snprintf(image->label, sizeof image->label, "%s[%zu]", kinds, i);
         image->view = -1;
         if ((uri != NULL) == (view != NULL))
             return lmg_fail(err, LMG_ERROR_INPUT, "%s: needs either a uri or a bufferView", image->label);
@@ -344,6 +346,16 @@ static lmg_result list_images(loading *l, lmg_error *err)
             return result;
         }
     }
+    return LMG_OK;
+}
+
+/* Images are taken out of the document, so that the parser doesn't decode them. */
+static lmg_result list_images(loading *l, lmg_error *err)
+{
+    gltf_file *f = l->file;
+    const json_t *profiles = json_object_get(json_object_get(json_object_get(l->root, "extensions"), "EXT_lights_ies"), "lights");
+    LUM_TRY(list_entries(l, json_object_get(l->root, "images"), "image", "images", &f->images, &f->image_count, err));
+    LUM_TRY(list_entries(l, profiles, "light profile", "EXT_lights_ies.lights", &f->profiles, &f->profile_count, err));
     json_object_del(l->root, "images");
     return LMG_OK;
 }
@@ -412,11 +424,15 @@ void gltf_close(gltf_file *file)
     if (!file)
         return;
     gltf_document_free(file->document);
-    for (uint32_t i = 0; i < file->image_count && file->images; i++) {
-        free(file->images[i].data);
-        free(file->images[i].path);
+    gltf_image *lists[2] = {file->images, file->profiles};
+    const uint32_t counts[2] = {file->image_count, file->profile_count};
+    for (int k = 0; k < 2; k++) {
+        for (uint32_t i = 0; i < counts[k] && lists[k]; i++) {
+            free(lists[k][i].data);
+            free(lists[k][i].path);
+        }
+        free(lists[k]);
     }
-    free(file->images);
     free(file);
 }
 
@@ -468,23 +484,45 @@ static lmg_result decode(const uint8_t *bytes, size_t size, uint32_t *width, uin
     return gltf_image_decode(bytes, size, width, height, bits, pixels, err);
 }
 
+/* The bytes of an entry; those read from a file are added to the hash and are the caller's to free (*owned, else NULL). */
+static lmg_result entry_bytes(gltf_file *file, const gltf_image *entry, gltf_bytes *bytes, uint8_t **owned, lmg_error *err)
+{
+    *owned = NULL;
+    *bytes = (gltf_bytes){entry->data, entry->size};
+    if (entry->view >= 0) {
+        const gltf_view *view = &file->document->views[entry->view];
+        *bytes = (gltf_bytes){file->document->buffers[view->buffer].data + view->offset, view->length};
+    } else if (entry->path) {
+        LUM_TRY(lum_read_file(entry->path, MAX_FILE_BYTES, owned, &bytes->size, err));
+        bytes->data = *owned;
+        file->hash = lum_fnv1a(file->hash, bytes->data, bytes->size);
+    }
+    return LMG_OK;
+}
+
+lmg_result gltf_profile_load(gltf_file *file, uint32_t index, lum_photometry **out, lmg_error *err)
+{
+    const gltf_profile *profile = &file->profiles[index];
+    uint8_t *owned;
+    gltf_bytes bytes;
+    *out = NULL;
+    lmg_result result = entry_bytes(file, profile, &bytes, &owned, err);
+    if (!result)
+        result = lum_photometry_read_memory(bytes.data, bytes.size, NULL, out, err);
+    free(owned);
+    if (result)
+        lum_prefix_error(err, profile->label);
+    return result;
+}
+
 lmg_result gltf_image_load(gltf_file *file, uint32_t index, uint32_t *width, uint32_t *height, int *bits, void **pixels,
                            lmg_error *err)
 {
     const gltf_image *image = &file->images[index];
-    uint8_t *owned = NULL;
-    gltf_bytes bytes = {image->data, image->size};
-    lmg_result result = LMG_OK;
+    uint8_t *owned;
+    gltf_bytes bytes;
     *pixels = NULL;
-    if (image->view >= 0) {
-        const gltf_view *view = &file->document->views[image->view];
-        bytes = (gltf_bytes){file->document->buffers[view->buffer].data + view->offset, view->length};
-    } else if (image->path) {
-        result = lum_read_file(image->path, MAX_FILE_BYTES, &owned, &bytes.size, err);
-        bytes.data = owned;
-        if (!result)
-            file->hash = lum_fnv1a(file->hash, bytes.data, bytes.size);
-    }
+    lmg_result result = entry_bytes(file, image, &bytes, &owned, err);
     if (!result)
         result = decode(bytes.data, bytes.size, width, height, bits, pixels, err);
     free(owned);

@@ -19,11 +19,16 @@ typedef struct gltf_image {
     char *path; /* file, NULL if none */
 } gltf_image;
 
+/* Bytes in a buffer view, a data URI or a file, like an image's: a photometric file of EXT_lights_ies. */
+typedef gltf_image gltf_profile;
+
 typedef struct gltf_file {
     gltf_document *document;
     gltf_ignored ignored;
     gltf_image *images;
     uint32_t image_count;
+    gltf_profile *profiles;
+    uint32_t profile_count;
     uint64_t hash; /* FNV-1a of the file and of the buffers; image files are added by gltf_image_load */
 } gltf_file;
 
@@ -34,6 +39,10 @@ void gltf_close(gltf_file *file);
 /* Decodes image number `index` (of the document): R,G,B,A of 8 or 16 bits; *pixels is freed by free(). */
 lmg_result gltf_image_load(gltf_file *file, uint32_t index, uint32_t *width, uint32_t *height, int *bits, void **pixels,
                            lmg_error *err);
+
+/* Reads photometric file number `index` of EXT_lights_ies. */
+struct lum_photometry;
+lmg_result gltf_profile_load(gltf_file *file, uint32_t index, struct lum_photometry **out, lmg_error *err);
 
 /* Reads a whole regular file, at most `limit` bytes; *bytes has a zero after its end and is freed by free(). */
 lmg_result lum_read_file(const char *path, size_t limit, uint8_t **bytes, size_t *size, lmg_error *err);

@@ -238,6 +238,17 @@ gltf_node node(const tinygltf::Node &from)
     to.light = -1;
     if (const Value *e = extension(from.extensions, "KHR_lights_punctual"))
         to.light = integer(*e, "light", -1);
+    to.profile = -1;
+    to.profile_multiplier = 1;
+    for (double &c : to.profile_color)
+        c = 1;
+    if (const Value *e = extension(from.extensions, "EXT_lights_ies")) {
+        to.profile = integer(*e, "light", -1);
+        to.profile_multiplier = number(*e, "multiplier", 1);
+        if (e->Has("color") && e->Get("color").IsArray() && e->Get("color").ArrayLen() == 3)
+            for (int i = 0; i < 3; i++)
+                to.profile_color[i] = e->Get("color").Get(i).GetNumberAsDouble();
+    }
     to.children = from.children.data();
     to.child_count = static_cast<uint32_t>(from.children.size());
     to.has_matrix = from.matrix.size() == 16;

@@ -111,6 +111,8 @@ typedef struct gltf_node {
     uint32_t weight_count;
     int32_t instance_translation, instance_rotation, instance_scale; /* EXT_mesh_gpu_instancing accessors, -1 = none */
     bool instanced;
+    int32_t profile; /* EXT_lights_ies: index of the photometric file, -1 = none */
+    double profile_multiplier, profile_color[3];
 } gltf_node;
 
 typedef struct gltf_light {

@@ -139,6 +139,8 @@ void lum_model_destroy(lum_model *model)
     for (uint32_t i = 0; i < model->spectrum_count; i++)
         free(model->spectra[i]);
     free(model->spectra);
+    for (uint32_t i = 0; i < model->light_count && model->lights; i++)
+        lum_profile_destroy(model->lights[i].profile);
     free(model->lights);
     free(model->cameras);
     for (uint32_t i = 0; i < model->volume_count; i++)

@@ -65,6 +65,20 @@ static void extend(double lo[3], double hi[3], const double p[3])
     }
 }
 
+/* A light at a place, or what shines of it; directional ones are nowhere. */
+static void extend_by_light(double lo[3], double hi[3], const lum_light *light)
+{
+    if (light->kind == LUM_LIGHT_DIRECTIONAL)
+        return;
+    const lmg_vec3 p = light->position, x = light->axes[0], y = light->axes[1], z = light->axes[2];
+    const bool flat = light->kind == LUM_LIGHT_PROFILE && light->shape.kind != LUM_SHAPE_POINT;
+    const double a = flat ? 0.5 * light->shape.c0 : 0, b = flat ? 0.5 * light->shape.height : 0, c = flat ? 0.5 * light->shape.c90 : 0;
+    const double half[3] = {a * fabs(x.x) + b * fabs(y.x) + c * fabs(z.x), a * fabs(x.y) + b * fabs(y.y) + c * fabs(z.y),
+                            a * fabs(x.z) + b * fabs(y.z) + c * fabs(z.z)};
+    extend(lo, hi, (const double[3]){p.x - half[0], p.y - half[1], p.z - half[2]});
+    extend(lo, hi, (const double[3]){p.x + half[0], p.y + half[1], p.z + half[2]});
+}
+
 /* The middle of what is drawn: vertices that no triangle uses don't count; lights at a place do. */
 static vec find_centre(const lum_build *b)
 {
@@ -73,9 +87,7 @@ static vec find_centre(const lum_build *b)
     for (size_t i = 0; i < 3 * (size_t)m->triangle_count; i++)
         extend(lo, hi, b->positions + 3 * (size_t)m->indices[i]);
     for (uint32_t i = 0; i < m->light_count; i++) {
-        const lmg_vec3 p = m->lights[i].position;
-        if (m->lights[i].kind != LUM_LIGHT_DIRECTIONAL)
-            extend(lo, hi, (const double[3]){p.x, p.y, p.z});
+        extend_by_light(lo, hi, &m->lights[i]);
     }
     vec c = {{0, 0, 0}};
     for (int i = 0; i < 3; i++)
@@ -246,9 +258,7 @@ static void find_bounds(lum_model *m)
     for (size_t i = 0; i < 3 * (size_t)m->triangle_count; i++)
         extend(lo, hi, load(m->positions + 3 * (size_t)m->indices[i]).x);
     for (uint32_t i = 0; i < m->light_count; i++) {
-        const lmg_vec3 p = m->lights[i].position;
-        if (m->lights[i].kind != LUM_LIGHT_DIRECTIONAL)
-            extend(lo, hi, (const double[3]){p.x, p.y, p.z});
+        extend_by_light(lo, hi, &m->lights[i]);
     }
     if (lo[0] <= hi[0]) {
         m->bounds_min = (lmg_vec3){lo[0], lo[1], lo[2]};

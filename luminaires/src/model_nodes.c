@@ -3,6 +3,7 @@
  * deep. */
 #include "gltf_accessor.h"
 #include "model_build.h"
+#include "profile_light.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -179,7 +180,12 @@ static lmg_result visit(lum_build *b, int32_t index, const lum_affine *world)
         lum_warn(b, "node \"%.60s\" is skinned: skins are ignored, its mesh is taken in its bind pose", name);
         b->warned_skin = true;
     }
-    if (node->light >= 0 && !lum_recipe_darkens(b, index, b->doc->lights[node->light].name))
+    const lmg_vec3 at = point(world, 0, 0, 0), axes[3] = {axis(world, 1, 0, 0), axis(world, 0, 1, 0), axis(world, 0, 0, 1)};
+    LUM_TRY(lum_add_recipe_profiles(b, name, at, axes));
+    /* A node with both light extensions says one light twice: the profile is the whole story. */
+    if (node->profile >= 0 && !lum_recipe_darkens(b, index, name))
+        LUM_TRY(lum_add_gltf_profile(b, index, name, at, axes));
+    else if (node->profile < 0 && node->light >= 0 && !lum_recipe_darkens(b, index, b->doc->lights[node->light].name))
         LUM_TRY(add_light(b, node->light, name, world));
     if (node->camera >= 0)
         LUM_TRY(add_camera(b, node->camera, name, world));

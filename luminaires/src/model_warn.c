@@ -87,7 +87,8 @@ static double total_flux(const lum_model *m, const double *area, bool *textured)
     }
     for (uint32_t i = 0; i < m->light_count; i++) {
         const lum_light *l = &m->lights[i];
-        double solid = l->kind == LUM_LIGHT_POINT ? 4 * pi : l->kind == LUM_LIGHT_SPOT ? 2 * pi * (1 - l->cos_outer) : 0;
+        double solid = l->kind == LUM_LIGHT_PROFILE ? lum_profile_flux(l->profile)
+                       : l->kind == LUM_LIGHT_POINT ? 4 * pi : l->kind == LUM_LIGHT_SPOT ? 2 * pi * (1 - l->cos_outer) : 0;
         flux += solid * lmg_luminance(l->intensity);
     }
     return flux;

@@ -159,6 +159,25 @@ static void read_diffuse_transmission(lum_reader *r, lum_recipe_entry *e)
     lum_reader_close(r, &in);
 }
 
+/* "profile": a light with a photometric file's intensities at every node that matches. */
+static void read_profile(lum_reader *r, lum_recipe_entry *e)
+{
+    static const char *const shapes[] = {"file", "point"};
+    lum_reader in;
+    char file[LUM_NAME_SIZE];
+    if (!lum_reader_open(r, "profile", &in))
+        return;
+    if (e->target == LUM_TARGET_MATERIAL || e->target == LUM_TARGET_MESH)
+        lum_reader_fail(r, "profile", "belongs to a node, not to a material or mesh");
+    if (!lum_reader_string(&in, "file", file))
+        lum_reader_fail(&in, "file", "is missing: the name of an IES, EULUMDAT or TM-33 file");
+    else if (snprintf(e->profile, sizeof e->profile, "%s%s", *file == '/' ? "" : r->recipe->folder, file) >= (int)sizeof e->profile)
+        lum_reader_fail(&in, "file", "the path is too long");
+    lum_reader_number(&in, "lumens", 1e-9, 1e12, &e->profile_lumens);
+    e->profile_point = lum_reader_choice(&in, "shape", shapes, 2, "file, point", 0) == 1;
+    lum_reader_close(r, &in);
+}
+
 static void read_entry_keys(lum_reader *r, lum_recipe_entry *e)
 {
     static const char *const targets[] = {"any", "material", "mesh", "node"};
@@ -169,6 +188,7 @@ static void read_entry_keys(lum_reader *r, lum_recipe_entry *e)
     lum_reader_bool(r, "leave_out", &e->leave_out);
     lum_reader_bool(r, "no_emission", &e->no_emission);
     read_emitter(r, e);
+    read_profile(r, e);
     read_glass(r, e);
     read_mirror(r, e);
     read_conductor(r, e);
@@ -194,9 +214,12 @@ static void read_entry_keys(lum_reader *r, lum_recipe_entry *e)
     }
     if (e->emitter && e->no_emission)
         lum_reader_fail(r, "no_emission", "contradicts \"emitter\"");
+    if (e->profile[0] && (e->leave_out || e->no_emission || e->emitter || e->has_thin || e->ior != 0 ||
+                          e->finish != LUM_FINISH_NONE || e->has_medium))
+        lum_reader_fail(r, "profile", "stands in an entry of its own");
     lum_reader_check_rest(r); /* before complaining that it says nothing: a misspelt key is why */
     if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && e->ior == 0 &&
-        e->finish == LUM_FINISH_NONE && !e->has_medium)
+        e->finish == LUM_FINISH_NONE && !e->has_medium && !e->profile[0])
         lum_reader_fail(r, "", "says nothing about \"%.60s\"", e->match);
 }
 

@@ -37,6 +37,9 @@ typedef struct lum_recipe_entry {
     bool has_medium;
     float scattering[3], medium_absorption[3], anisotropy;
     float through; /* of a diffusing layer: share of what it scatters that goes to the far side, at most */
+    char profile[1024];    /* photometric file of a light at matching nodes, "" = none */
+    bool profile_point;    /* from a point, whatever shape the file gives */
+    double profile_lumens; /* 0 = as the file says */
     lum_spectral spectral; /* what is given by wavelength; the recipe owns it */
 } lum_recipe_entry;
 

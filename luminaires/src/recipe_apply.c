@@ -37,6 +37,8 @@ static bool node_matches(const lum_build *b, const lum_recipe_entry *e, int32_t 
 static bool matches(const lum_build *b, const lum_recipe_entry *e, int32_t node, const char *mesh, const char *material)
 {
     bool any = e->target == LUM_TARGET_ANY;
+    if (e->profile[0]) /* put at nodes by profile_light.c, nothing else */
+        return false;
     return (material && (any || e->target == LUM_TARGET_MATERIAL) && lum_match(e->match, material)) ||
            (mesh && (any || e->target == LUM_TARGET_MESH) && lum_match(e->match, mesh)) ||
            ((any || e->target == LUM_TARGET_NODE) && node_matches(b, e, node));

@@ -6,6 +6,7 @@
 #ifndef LUMINAIRES_MODEL_H
 #define LUMINAIRES_MODEL_H
 
+#include <luminaires/photometry.h>
 #include <luminaires/spectrum.h>
 
 #ifdef __cplusplus
@@ -103,9 +104,9 @@ typedef struct lum_material {
     lum_spectral spectral;       /* by wavelength, where more is known than R,G,B */
 } lum_material;
 
-typedef enum lum_light_kind { LUM_LIGHT_POINT = 0, LUM_LIGHT_SPOT = 1, LUM_LIGHT_DIRECTIONAL = 2 } lum_light_kind;
+typedef enum lum_light_kind { LUM_LIGHT_POINT = 0, LUM_LIGHT_SPOT = 1, LUM_LIGHT_DIRECTIONAL = 2, LUM_LIGHT_PROFILE = 3 } lum_light_kind;
 
-/* KHR_lights_punctual.  Directional lights (lux) light rooms; they can't be baked. */
+/* KHR_lights_punctual, and lights with a photometric file's profile (EXT_lights_ies, recipe).  Directional lights (lux) light rooms; they can't be baked. */
 typedef struct lum_light {
     char name[LUM_NAME_SIZE];
     lum_light_kind kind;
@@ -113,6 +114,10 @@ typedef struct lum_light {
     lmg_vec3 direction;         /* unit, where the light points */
     float intensity[3];         /* cd (point, spot) or lx (directional), R,G,B */
     double cos_inner, cos_outer;
+    /* LUM_LIGHT_PROFILE: intensity is a factor on the file's candela; its frame's axes +X, +Y, +Z in the model; its flat shape. */
+    lmg_vec3 axes[3];
+    lum_shape shape;
+    lum_profile *profile; /* belongs to the model */
 } lum_light;
 
 typedef struct lum_camera {
