@@ -325,6 +325,7 @@ void lum_scatter_trace(const lum_surface *surface, lmg_vec3 wi, float eta_outsid
     case LUM_SURFACE_CONDUCTOR:
         sample_metal(surface, &at, wi, xi, u, pol, out);
         return;
+#ifndef LUM_ONLY_REFLECTORS /* the benchmark's build without other effects (tests/bench/bench_pay.c) */
     case LUM_SURFACE_PBR: {
         if (surface->layers_present) {
             lum_sample_layers(surface, &at, wi, eta_outside, xi, pol, out);
@@ -349,6 +350,7 @@ void lum_scatter_trace(const lum_surface *surface, lmg_vec3 wi, float eta_outsid
         }
         return;
     }
+#endif
     case LUM_SURFACE_BLACK:
     default:
         out->event = LUM_ABSORBED;

@@ -295,11 +295,12 @@ void lum_surface_at(const lum_scene *scene, const lum_hit *hit, lmg_vec3 d, lum_
 {
     const lum_triangle *triangle = &scene->triangles[hit->triangle];
     const lum_shading *shading = &scene->shading[triangle->material & LUM_TRIANGLE_MATERIAL];
-    if (shading->surface.layers_present) {
+#ifndef LUM_ONLY_REFLECTORS /* the benchmark's build without other effects (tests/bench/bench_pay.c) */
+    if (shading->surface.layers_present)
         *out = shading->surface;
-    } else {
+    else
+#endif
         memcpy(out, &shading->surface, offsetof(lum_surface, layers));
-    }
     out->ng = hit->ng;
     out->front = vec_dot(d, hit->ng) < 0;
     out->ns = hit->ng;
@@ -319,7 +320,9 @@ void lum_surface_at(const lum_scene *scene, const lum_hit *hit, lmg_vec3 d, lum_
     if (shading->emissive && !out->front && !out->material->emits_back) {
         out->emission[0] = out->emission[1] = out->emission[2] = 0;
     }
+#ifndef LUM_ONLY_REFLECTORS
     if (shading->fetch || out->layers_present) {
         fetch_at(scene->model, hit, shading->fetch, out);
     }
+#endif
 }

@@ -2,7 +2,7 @@
 /*
  * How fast the photon tracer is against Embree alone on the same ray segments, in one run.
  *
- * For each lamp: record a few million of its ray segments; then, several times in turn, so that a busy machine disturbs both alike:
+ * For each lamp, with the effects that a bake's plan simulates: record a few million of its ray segments; then, several times in turn, so that a busy machine disturbs both alike:
  * Embree alone (rtcIntersect1 on the recorded segments, no use made of the hits), the tracer without sinks, the tracer into an
  * accumulator with the layout of a default bake.  The best of the turns counts.  One thread each, and all cores.  Time is the
  * processor time that the process got, divided by the threads, so that other work on the machine counts as little as can be.
@@ -13,6 +13,7 @@
  */
 #include "bake.h"
 #include "parallel.h"
+#include "plan.h"
 #include "tracer.h"
 
 #include <luminaires/model.h>
@@ -164,8 +165,12 @@ static void bench_lamp(const char *path, bool json, bool *first)
     if (lum_model_load(path, recipe, &model, &err) != LMG_OK)
         die(&err);
     lum_recipe_destroy(recipe);
-    bake_source *tracer;
-    if (bake_tracer_create(model, 1, &tracer, &err) != LMG_OK)
+    /* what a bake would trace: the effects that its plan simulates */
+    bake_source *all, *tracer;
+    bake_plan plan;
+    if (bake_tracer_create(model, 1, &all, &err) != LMG_OK ||
+        bake_plan_make(model, all, 1, &(bake_plan_options){0}, &plan, &err) != LMG_OK ||
+        bake_tracer_create_with(model, plan.simulated, 1, all, &tracer, &err) != LMG_OK)
         die(&err);
     float *rays = malloc((size_t)SEGMENTS * 6 * sizeof(*rays));
     if (!rays)
@@ -187,6 +192,7 @@ static void bench_lamp(const char *path, bool json, bool *first)
     }
     free(rays);
     tracer->destroy(tracer);
+    all->destroy(all);
     lum_model_destroy(model);
 }
 
