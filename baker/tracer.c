@@ -128,6 +128,10 @@ static tracer_medium *list_media(const lum_model *model)
         const lum_material *m = &model->materials[i];
         media[i].solid = m->kind == LUM_SURFACE_PBR && !m->thin && m->transmission > 0;
         media[i].ior = m->ior;
+        media[i].priority = m->priority;
+        const bool clear = m->transmission == 1 && m->metallic == 0 && m->layers.present == 0 && m->alpha_mode == LUM_ALPHA_OPAQUE;
+        const bool white = m->base_color[0] == 1 && m->base_color[1] == 1 && m->base_color[2] == 1 && !model->colors;
+        media[i].bare = media[i].solid && clear && white && !lum_material_is_textured(m);
         for (int c = 0; c < 3; ++c) {
             media[i].absorption[c] = (double)m->absorption[c];
             media[i].absorbs |= media[i].solid && m->absorption[c] > 0;

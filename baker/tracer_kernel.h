@@ -16,7 +16,8 @@
  *     meet()         at a surface: scattering, passing by, entering and leaving solids
  *     escape()       it leaves the model
  *
- * survivors() turns any loss into whole photons; of light by wavelength, survives().  Numbers are drawn where a model needs them, never by feature.
+ * survivors() turns any loss into whole photons; of light by wavelength, survives().  Numbers are drawn where a model needs them,
+ * never by feature.
  */
 #include "batch.h"
 #include "effects.h"
@@ -33,14 +34,15 @@
 
 /* How deep solids may be nested; deeper counts as lost. */
 enum { MAX_NESTED = 8 };
-/* Light that goes round for ever in a lossless closed model is given up (counted as lost) here, far beyond any light guide: of light
- * that makes 10,000 bounces on average, a share of e^-100 goes further. */
+/* Light that goes round for ever in a lossless closed model is given up (counted as lost) here, far beyond any light guide: of
+ * light that makes 10,000 bounces on average, a share of e^-100 goes further. */
 static const uint32_t RUNAWAY_SEGMENTS = 1000000;
 /* Paths longer than this are followed alone to their end: then the first of many trapped ones is known sooner. */
 static const uint32_t LONG_SEGMENTS = 100000;
 /* The whole run gives up when in a chunk more than TRAP_COUNT + TRAP_SHARE x (photons started) were given up: a model that keeps a
- * thousandth of its light for ever is wrong (a thousand times the loss that is tolerated), and spends a thousand segments per photon
- * on it.  TRAP_COUNT keeps chance from deciding: of a chunk's few given up by a smaller share, more than that come once in 10^4. */
+ * thousandth of its light for ever is wrong (a thousand times the loss that is tolerated), and spends a thousand segments per
+ * photon on it.  TRAP_COUNT keeps chance from deciding: of a chunk's few given up by a smaller share, more than that come once in
+ * 10^4. */
 static const double TRAP_COUNT = 4, TRAP_SHARE = 0.001;
 /* Photons that wait because one became several.  On average one becomes at most one, so a few suffice; more count as lost. */
 enum { MAX_PENDING = 64 };
@@ -217,9 +219,9 @@ static inline bool choose_wave(const tracer *t, worker *w, path *p, int32_t mate
 }
 
 /*
- * A layer of phosphor takes its share of each wave and emits what the quantum yield leaves of the photons, Lambertian to both sides;
- * what it doesn't take goes on to be scattered.  One of the two is followed, in proportion to its importance.  Returns whether
- * anything is left; *converted: which of them.
+ * A layer of phosphor takes its share of each wave and emits what the quantum yield leaves of the photons, Lambertian to both
+ * sides; what it doesn't take goes on to be scattered.  One of the two is followed, in proportion to its importance.  Returns
+ * whether anything is left; *converted: which of them.
  */
 static inline bool meet_phosphor(const tracer *t, worker *w, path *p, const bake_phosphor *phosphor, bool *converted)
 {
@@ -288,19 +290,25 @@ static bool notice_birth_inside(const tracer *t, path *p, int32_t material, bool
         return true;
     if (p->nested == MAX_NESTED)
         return false;
-    memmove(&p->inside[1], &p->inside[0], p->nested * sizeof(p->inside[0]));
-    p->inside[0] = material;
+    uint32_t at = 0;
+    while (at < p->nested && t->media[p->inside[at]].priority < t->media[material].priority)
+        ++at;
+    memmove(&p->inside[at + 1], &p->inside[at], (p->nested - at) * sizeof(p->inside[0]));
+    p->inside[at] = material;
     ++p->nested;
     return true;
 }
 
 /* Goes through the boundary of a solid: in from its front, out from its back.  False: nested too deep. */
-static bool cross_boundary(path *p, int32_t material, bool front)
+static bool cross_boundary(const tracer *t, path *p, int32_t material, bool front)
 {
     if (front) {
         if (p->nested == MAX_NESTED)
             return false;
-        p->inside[p->nested++] = material;
+        uint32_t at = p->nested++;
+        for (; at > 0 && t->media[p->inside[at - 1]].priority > t->media[material].priority; --at)
+            p->inside[at] = p->inside[at - 1];
+        p->inside[at] = material;
         return true;
     }
     for (uint32_t i = p->nested; i-- > 0;)
@@ -310,6 +318,35 @@ static bool cross_boundary(path *p, int32_t material, bool front)
             break;
         }
     return true;
+}
+
+/*
+ * Whether light doesn't notice the boundary of a solid: it lies inside of a solid of higher priority [schmidt2002nested], or there
+ * is the same index on both sides and nothing else at it.
+ */
+static bool is_unnoticed(const tracer *t, const path *p, int32_t material, bool front)
+{
+    const tracer_medium *m = &t->media[material];
+    if (!m->solid)
+        return false;
+    uint32_t n = p->nested;
+    if (n > 0 && t->media[p->inside[n - 1]].priority > m->priority)
+        return true;
+    if (!m->bare || t->spectral)
+        return false;
+    if (!front && n > 0 && p->inside[n - 1] == material)
+        --n;
+    return m->ior == (n > 0 ? t->media[p->inside[n - 1]].ior : 1.0f);
+}
+
+/* Where a ray goes on beyond a hit as if nothing was there: on the same line, unless it grazes the surface. */
+static lmg_vec3 straight_on(const lum_hit *hit, lmg_vec3 origin, lmg_vec3 d)
+{
+    const double c = fabs(d.x * hit->ng.x + d.y * hit->ng.y + d.z * hit->ng.z);
+    if (c < 0.01)
+        return lum_offset(hit, d);
+    const double beyond = hit->t + hit->error / c;
+    return (lmg_vec3){origin.x + beyond * d.x, origin.y + beyond * d.y, origin.z + beyond * d.z};
 }
 
 /* Index of the medium on the front side of a boundary of `material` that the path meets from the front or from inside. */
@@ -420,7 +457,8 @@ static bool within_model(const tracer *t, lmg_vec3 p)
 
 /*
  * Where a scattering that fell short of a surface by (length - t) puts the photon.  Rounding of the surface's place must not let it
- * through: within the hit's error bound of the surface it is moved along the normal, to where a ray leaving the surface would start.
+ * through: within the hit's error bound of the surface it is moved along the normal, to where a ray leaving the surface would
+ * start.
  */
 static lmg_vec3 scattering_place(lmg_vec3 origin, lmg_vec3 d, double t, const lum_hit *hit)
 {
@@ -442,8 +480,8 @@ static inline uint32_t fly_waves(const tracer *t, worker *w, uint32_t i, const t
     path *p = &w->path[i];
     float share[BAKE_WAVES];
     if (m) {
-        const bool passed = bake_waves_fly(t->spectral, p->inside[p->nested - 1], &m->inside, length, &p->rng,
-                                           &p->waves, share, &flight->t);
+        const bool passed =
+            bake_waves_fly(t->spectral, p->inside[p->nested - 1], &m->inside, length, &p->rng, &p->waves, share, &flight->t);
         flight->event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED;
         flight->g = m->inside.g;
     } else {
@@ -517,6 +555,16 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, lum_surface 
 {
     path *p = &w->path[i];
     const lum_hit *hit = &w->hit[i];
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    if (is_unnoticed(t, p, material, surface->front)) {
+        if (!cross_boundary(t, p, material, surface->front)) {
+            w->counts.lost += photons * units_of(p);
+            return 0;
+        }
+        w->origin[i] = straight_on(hit, w->origin[i], w->direction[i]);
+        return photons;
+    }
+#endif
     if (HAS(TRACER_COVERAGE) && surface->coverage < 1 && lum_rng_next(&p->rng) >= (double)surface->coverage) {
         w->origin[i] = lum_offset(hit, w->direction[i]);
         return photons;
@@ -575,7 +623,7 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, lum_surface 
     if (photons == 0)
         return 0;
 #if KERNEL_FEATURES & TRACER_SOLIDS
-    if (s.event & LUM_BOUNDARY && !cross_boundary(p, material, surface->front)) {
+    if (s.event & LUM_BOUNDARY && !cross_boundary(t, p, material, surface->front)) {
         w->counts.lost += photons * units_of(p);
         return 0;
     }
@@ -706,8 +754,8 @@ static void record(tracer_job *j, const worker *w)
     }
 }
 
-/* Puts the photons first .. first+count-1 (count at most BAKE_CHUNK) in the order of the emitting triangle that they choose, roughly:
- * neighbours in this order start close together and find the emitter, and the tree around it, in the cache. */
+/* Puts the photons first .. first+count-1 (count at most BAKE_CHUNK) in the order of the emitting triangle that they choose,
+ * roughly: neighbours in this order start close together and find the emitter, and the tree around it, in the cache. */
 static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t count)
 {
     enum { BUCKETS = 512 };

@@ -36,7 +36,9 @@
 /* What the loop needs of a material, in one cache line per few materials. */
 typedef struct tracer_medium {
     bool solid, absorbs;
+    bool bare; /* a solid whose boundary is nothing but a step of the index */
     float ior;
+    int32_t priority; /* lum_material.priority */
     double absorption[3]; /* 1/m */
     bool scatters;
     lum_medium inside; /* where it scatters */

@@ -27,12 +27,22 @@ static double index_of(const medium_stack *stack)
     return stack->depth ? (double)stack->inside[stack->depth - 1]->ior : 1.0;
 }
 
+/* Whether a boundary lies inside of a solid of higher priority, where light doesn't notice it. */
+static bool is_hidden(const medium_stack *stack, const lum_material *material)
+{
+    return stack->depth > 0 && stack->inside[stack->depth - 1]->priority > material->priority;
+}
+
 /* The stack after the boundary of a solid has been crossed, inwards or outwards. */
 static medium_stack cross_boundary(medium_stack stack, const lum_material *material, bool inwards)
 {
     if (inwards) {
         if (stack.depth < MAX_MEDIA) {
-            stack.inside[stack.depth++] = material;
+            int at = stack.depth++;
+            for (; at > 0 && stack.inside[at - 1]->priority > material->priority; at--) {
+                stack.inside[at] = stack.inside[at - 1];
+            }
+            stack.inside[at] = material;
         }
         return stack;
     }
@@ -549,6 +559,12 @@ void view_path_radiance(const view_scene *scene, const view_path_options *option
             break;
         }
         attenuate(&media, distance, beta);
+        if (solid_boundary(x.surface.material) && is_hidden(&media, x.surface.material)) {
+            media = cross_boundary(media, x.surface.material, x.front);
+            start = view_leave(&x.hit, d);
+            depth--; /* no event: made up for by the loop's step */
+            continue;
+        }
         add_emission(scene, options, &from, &x, beta, worker, sum);
         const lum_surface *surface = &x.surface;
         if (depth >= options->max_depth || surface->kind == LUM_SURFACE_BLACK) {

@@ -39,6 +39,16 @@ static const struct {
     {"brass", {0.452f, 0.527f, 0.947f}, {3.345f, 2.765f, 1.920f}},     /* 0.864 0.789 0.493 */
 };
 
+const char *lum_metal_name(const char *name)
+{
+    static const char *const symbols[][2] = {{"Al", "aluminium"}, {"Ag", "silver"}, {"Au", "gold"}, {"Cu", "copper"},
+                                             {"Cr", "chromium"},  {"Ni", "nickel"}, {"Fe", "iron"}, {"W", "tungsten"}};
+    for (size_t i = 0; i < sizeof symbols / sizeof *symbols; i++)
+        if (strcmp(name, symbols[i][0]) == 0)
+            return symbols[i][1];
+    return name;
+}
+
 bool lum_metal(const char *name, float eta[3], float k[3])
 {
     for (size_t i = 0; i < sizeof metals / sizeof *metals; i++)

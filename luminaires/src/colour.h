@@ -13,7 +13,10 @@
  * negative. */
 void lum_planckian(double kelvin, double rgb[3]);
 
-/* Complex index eta - i k of a metal at 610, 550 and 465 nm; false for a name it doesn't know. */
+/* The name of a metal that may be given by its chemical symbol ("Al"); other names as they are. */
+const char *lum_metal_name(const char *name_or_symbol);
+
+/* Complex index eta - i k of a metal, by name, at 610, 550 and 465 nm; false for a name it doesn't know. */
 bool lum_metal(const char *name, float eta[3], float k[3]);
 
 /* The names it knows, separated by ", ". */

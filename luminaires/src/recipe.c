@@ -78,6 +78,17 @@ static void get_roughness(lum_reader *r, lum_recipe_entry *e)
         e->roughness = (float)x;
 }
 
+static void get_priority(lum_reader *r, lum_recipe_entry *e)
+{
+    double x;
+    if (!lum_reader_number(r, "priority", -1000, 1000, &x))
+        return;
+    if (x != floor(x))
+        lum_reader_fail(r, "priority", "%g is not a whole number", x);
+    e->priority = (int32_t)x;
+    e->has_priority = true;
+}
+
 static void read_glass(lum_reader *r, lum_recipe_entry *e)
 {
     lum_reader in;
@@ -89,6 +100,7 @@ static void read_glass(lum_reader *r, lum_recipe_entry *e)
     e->thin = false;
     lum_reader_bool(&in, "thin", &e->thin);
     e->has_thin = true;
+    get_priority(&in, e);
     get_roughness(&in, e);
     double color[3], distance;
     bool absorption = lum_reader_property(&in, "absorption", 0, 1e9, e->absorption, &e->spectral.absorption);
@@ -122,8 +134,9 @@ static void read_conductor(lum_reader *r, lum_recipe_entry *e)
     if (!lum_reader_open(r, "conductor", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_CONDUCTOR);
-    char metal[LUM_NAME_SIZE];
-    bool named = lum_reader_string(&in, "metal", metal);
+    char given[LUM_NAME_SIZE];
+    bool named = lum_reader_string(&in, "metal", given);
+    const char *metal = named ? lum_metal_name(given) : NULL;
     bool eta = lum_reader_property(&in, "eta", 1e-6, 1e3, e->eta, &e->spectral.eta);
     bool k = lum_reader_property(&in, "k", 0, 1e3, e->k, &e->spectral.k);
     if ((e->spectral.eta != NULL) != (e->spectral.k != NULL))
@@ -131,7 +144,7 @@ static void read_conductor(lum_reader *r, lum_recipe_entry *e)
     if (named == (eta || k) || eta != k)
         lum_reader_fail(&in, "", "give \"metal\", or \"eta\" and \"k\" together");
     if (named && !lum_metal(metal, e->eta, e->k))
-        lum_reader_fail(&in, "metal", "\"%.40s\" is not one of %s", metal, lum_metal_names());
+        lum_reader_fail(&in, "metal", "\"%.40s\" is not one of %s, or the symbol of one", metal, lum_metal_names());
     if (named)
         lum_reader_metal(&in, metal, &e->spectral.eta, &e->spectral.k);
     get_roughness(&in, e);
@@ -212,13 +225,14 @@ static void read_entry_keys(lum_reader *r, lum_recipe_entry *e)
         e->ior = ior;
         e->spectral.index = index;
     }
+    get_priority(r, e);
     if (e->emitter && e->no_emission)
         lum_reader_fail(r, "no_emission", "contradicts \"emitter\"");
-    if (e->profile[0] && (e->leave_out || e->no_emission || e->emitter || e->has_thin || e->ior != 0 ||
+    if (e->profile[0] && (e->leave_out || e->no_emission || e->emitter || e->has_thin || e->has_priority || e->ior != 0 ||
                           e->finish != LUM_FINISH_NONE || e->has_medium))
         lum_reader_fail(r, "profile", "stands in an entry of its own");
     lum_reader_check_rest(r); /* before complaining that it says nothing: a misspelt key is why */
-    if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && e->ior == 0 &&
+    if (!r->result && !e->leave_out && !e->no_emission && !e->emitter && !e->has_thin && !e->has_priority && e->ior == 0 &&
         e->finish == LUM_FINISH_NONE && !e->has_medium && !e->profile[0])
         lum_reader_fail(r, "", "says nothing about \"%.60s\"", e->match);
 }

@@ -31,6 +31,8 @@ typedef struct lum_recipe_entry {
     double color[3];          /* luminance 1 */
     lum_sides sides;
     bool has_thin, thin;
+    bool has_priority;
+    int32_t priority; /* of a solid among others that overlap it */
     double ior; /* 0 = not given */
     lum_finish finish;
     float reflectance[3], transmittance[3], roughness, eta[3], k[3], absorption[3];

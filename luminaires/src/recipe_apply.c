@@ -135,6 +135,7 @@ static void plain(lum_material *m)
     m->metallic = 0;
     m->transmission = m->diffuse_transmission = 0;
     m->has_eta = false;
+    m->priority = 0;
     const lum_spectral emission = {.emission = m->spectral.emission, .measured = m->spectral.measured};
     m->spectral = emission;
     m->thin = true;
@@ -224,6 +225,8 @@ static void apply_entry(lum_material *m, const lum_recipe_entry *e)
         m->ior = (float)e->ior;
         m->spectral.index = e->spectral.index;
     }
+    if (e->has_priority)
+        m->priority = e->priority;
     if (e->has_thin) {
         m->thin = e->thin;
         for (int i = 0; i < 3 && e->thin; i++)
@@ -314,6 +317,12 @@ static lmg_result find_variant(applying *a, uint32_t p)
     }
     if (medium && (changed.scattering[0] > 0 || changed.scattering[1] > 0 || changed.scattering[2] > 0))
         LUM_TRY(lum_recipe_check_medium(b, medium, &changed));
+    for (uint32_t i = 0; i < n; i++) {
+        const lum_recipe_entry *e = &b->recipe->entries[i];
+        if (e->has_priority && (changed.transmission == 0 || changed.thin) && matches(b, e, b->part_node[p], part->mesh, base->name))
+            lum_warn(b, "recipe %s: \"priority\" changes nothing on material \"%.60s\", which is not a clear solid; \"glass\" would make it one",
+                     e->where, base->name);
+    }
     LUM_TRY(add_material(a, &changed, &v.material));
     if (v.emitter >= 0 && b->recipe->entries[v.emitter].sides == LUM_SIDES_OUTSIDE)
         LUM_TRY(add_material(a, &changed, &v.dark));

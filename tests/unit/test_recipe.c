@@ -146,6 +146,23 @@ static void matching(void **state)
     lum_model_destroy(m);
 }
 
+/* Priorities of solids, and metals by their symbols. */
+static void priorities_and_symbols(void **state)
+{
+    (void)state;
+    lum_model *m = load_with("{\"match\":\"Left\",\"glass\":{\"priority\":-3}},{\"match\":\"Left\",\"priority\":7},"
+                             "{\"match\":\"Right\",\"priority\":2},{\"match\":\"Globe\",\"conductor\":{\"metal\":\"Al\"}}");
+    assert_int_equal(material_in(m, "Left")->priority, 7);
+    bool warned = false;
+    for (uint32_t i = 0; i < m->warning_count; i++)
+        warned = warned || strstr(m->warnings[i], "\"priority\" changes nothing");
+    assert_true(warned); /* Right is no solid */
+    float eta[3], k[3];
+    assert_true(lum_metal("aluminium", eta, k));
+    assert_memory_equal(material_in(m, "Globe")->eta, eta, sizeof eta);
+    lum_model_destroy(m);
+}
+
 static void surfaces(void **state)
 {
     (void)state;
@@ -341,6 +358,8 @@ static void wrong_recipes(void **state)
         {"{\"entries\":[{\"match\":\"a\",\"target\":\"nod\",\"thin\":true}]}", "\"nod\" is not one of any, material, mesh, node"},
         {"{\"entries\":[{\"match\":\"a\",\"conductor\":{\"metal\":\"x\"}}]}", "aluminium"},
         {"{\"entries\":[{\"match\":\"a\",\"glass\":{\"thin\":true,\"absorption\":3}}]}", "no inside"},
+        {"{\"entries\":[{\"match\":\"a\",\"glass\":{\"priority\":2000}}]}", "glass.priority: 2000 is outside [-1000, 1000]"},
+        {"{\"entries\":[{\"match\":\"a\",\"priority\":1.5}]}", "entries[0].priority: 1.5 is not a whole number"},
         {"{\"entries\":[{\"match\":\"a\",\"emitter\":{\"lumens\":1,\"kelvin\":3000,\"spectrum\":\"D65\"}}]}", "give one of \"color\""},
         {"{\"entries\":[{\"match\":\"a\",\"emitter\":{\"watts\":1}}]}", "watts: needs a \"spectrum\""},
         {"{\"entries\":[{\"match\":\"a\",\"emitter\":{\"lumens\":1,\"spectrum\":\"D64\"}}]}", "\"D64\" is not one of A, E, D50"},
@@ -588,7 +607,7 @@ int main(void)
 {
     gltf_folder("test_recipe_files");
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(matching),      cmocka_unit_test(surfaces),
+        cmocka_unit_test(matching),      cmocka_unit_test(surfaces), cmocka_unit_test(priorities_and_symbols),
         cmocka_unit_test(emitters),      cmocka_unit_test(emitting_outside),
         cmocka_unit_test(globals),       cmocka_unit_test(shorthands),
         cmocka_unit_test(wrong_recipes), cmocka_unit_test(no_match),

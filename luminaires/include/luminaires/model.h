@@ -89,6 +89,7 @@ typedef struct lum_material {
     lum_texture diffuse_transmission_texture;       /* A */
     lum_texture diffuse_transmission_color_texture; /* sRGB */
     bool thin;                   /* a transmitting surface is a thin wall (both faces at once: no refraction); false = the boundary of a solid */
+    int32_t priority;            /* of a solid: where several overlap, the one of the highest priority is there (recipe "priority") */
     float absorption[3];         /* 1/m inside a solid (KHR_materials_volume: -ln(colour)/distance) */
     float scattering[3];         /* 1/m inside a solid (recipe "medium"); zeros = clear */
     float anisotropy;            /* mean cosine of the phase function of what is inside (luminaires/medium.h) */
