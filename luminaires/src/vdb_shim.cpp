@@ -6,10 +6,12 @@
 #include "vdb_shim.h"
 
 #include <cmath>
+#include <fstream>
 #include <new>
 #include <string>
 #include <vector>
 
+#include <openvdb/io/Stream.h>
 #include <openvdb/openvdb.h>
 
 namespace
@@ -114,33 +116,32 @@ lmg_result read_voxels(const Grid &grid, lum_interpolation interpolation, double
 }
 
 /* The name of the grid to read; messages list what there is. */
-lmg_result choose(openvdb::io::File &file, const char *wanted, std::string &name, lmg_error *err)
+lmg_result choose(const openvdb::GridPtrVec &grids, const char *wanted, openvdb::GridBase::Ptr &chosen, lmg_error *err)
 {
-    std::string list, only;
+    std::string list;
+    openvdb::GridBase::Ptr only;
     int usable = 0;
-    bool found = false;
-    for (auto n = file.beginName(); n != file.endName(); ++n) {
-        const std::string one = *n;
+    for (const openvdb::GridBase::Ptr &grid : grids) {
+        const std::string one = grid->getName();
         list += (list.empty() ? "\"" : ", \"") + one + "\"";
-        found = found || (wanted && *wanted && one == wanted);
-        const openvdb::GridBase::Ptr meta = file.readGridMetadata(one);
-        if (meta && (meta->isType<openvdb::FloatGrid>() || meta->isType<openvdb::DoubleGrid>())) {
+        if (wanted && *wanted && one == wanted)
+            chosen = grid;
+        if (grid->isType<openvdb::FloatGrid>() || grid->isType<openvdb::DoubleGrid>()) {
             usable++;
-            if (only.empty() || one == "density")
-                only = one;
+            if (!only || one == "density")
+                only = grid;
         }
     }
     if (wanted && *wanted) {
-        if (!found)
+        if (!chosen)
             return lmg_fail(err, LMG_ERROR_INPUT, "no grid is called \"%.60s\"; it has %.200s", wanted,
                             list.empty() ? "none" : list.c_str());
-        name = wanted;
     } else if (usable == 0) {
         return lmg_fail(err, LMG_ERROR_INPUT, "no grid of floating-point numbers; it has %.200s", list.empty() ? "none" : list.c_str());
-    } else if (usable > 1 && only != "density") {
+    } else if (usable > 1 && only->getName() != "density") {
         return lmg_fail(err, LMG_ERROR_INPUT, "several grids; choose one with \"grid\": %.200s", list.c_str());
     } else {
-        name = only;
+        chosen = only;
     }
     return LMG_OK;
 }
@@ -149,15 +150,17 @@ lmg_result read_file(const char *path, const char *wanted, lum_interpolation int
                      double m[3][4], lmg_error *err)
 {
     openvdb::initialize();
-    openvdb::io::File file(path);
-    file.setCopyMaxBytes(0);
-    file.open(false); /* all of it now: a file that changes or ends too early is found here */
-    std::string name;
-    if (const lmg_result result = choose(file, wanted, name, err))
+    /* OpenVDB doesn't look whether a read came to the end of the file, and goes on with numbers that it hasn't read; a stream that
+     * throws there ends this at once. */
+    std::ifstream file(path, std::ios::binary);
+    if (!file.is_open())
+        return lmg_fail(err, LMG_ERROR_FILE_OPEN, "can't be opened");
+    file.exceptions(std::ios::badbit | std::ios::failbit | std::ios::eofbit);
+    openvdb::io::Stream stream(file, false);
+    openvdb::GridBase::Ptr grid;
+    if (const lmg_result result = choose(*stream.getGrids(), wanted, grid, err))
         return result;
-    const openvdb::GridBase::Ptr grid = file.readGrid(name);
-    if (!grid)
-        return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "grid \"%s\" can't be read", name.c_str());
+    const std::string name = grid->getName();
     if (grid->getGridClass() == openvdb::GRID_LEVEL_SET)
         return lmg_fail(err, LMG_ERROR_INPUT, "grid \"%s\" is a level set (distances to a surface); a fog volume is wanted", name.c_str());
     if (const lmg_result result = read_map(*grid, name, m, err))
@@ -195,7 +198,9 @@ lmg_result lum_grid_read_vdb(const char *path, const char *name, lum_interpolati
     try {
         return read_file(path, name, interpolation, extinction, out, index_to_world, err);
     } catch (const std::bad_alloc &) {
-        return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory; or the file is damaged");
+        return lmg_fail(err, LMG_ERROR_FILE_READ, "is damaged, or larger than this machine's memory");
+    } catch (const std::ios_base::failure &) {
+        return lmg_fail(err, LMG_ERROR_FILE_READ, "can't be read as OpenVDB: it is truncated, or no OpenVDB file");
     } catch (const std::exception &e) {
         return lmg_fail(err, LMG_ERROR_FILE_READ, "can't be read as OpenVDB: %.300s", e.what());
     } catch (...) {

@@ -5,6 +5,7 @@
  *
  *   - a bulb in a shell of glass (the opal ball): clear; filled with an isotropic medium of optical depth 1.2 across the wall; filled
  *     with the forward scattering medium of the sample, optical depth 6, which turns light round as much;
+ *   - a white tray with LEDs behind a plate, as in a ceiling panel: clear; opal, isotropic optical depth 1.2;
  *   - a bulb in a box of haze: homogeneous; a lattice of 128^3 densities with the same mean, smooth noise; the same with a few
  *     voxels of a million times the mean.
  *
@@ -90,6 +91,28 @@ static lum_model *ball(float scattering, float anisotropy)
     return model;
 }
 
+/* 0.6 m square, 50 mm deep, reflectance 0.9, a square of LEDs in its ground; the plate is 3 mm thick. */
+static lum_model *panel(float scattering)
+{
+    lum_model *model = make_model();
+    const uint32_t plate = make_glass(model, 1.5f, 0, false), tray = make_lambert(model, 0.9f), leds = make_lambert(model, 0.9f);
+    for (int c = 0; c < 3; ++c) {
+        model->materials[plate].scattering[c] = scattering;
+        model->materials[plate].absorption[c] = 0.5f;
+        model->materials[leds].emissive[c] = 1000;
+    }
+    const double h = 0.3, d = 0.05;
+    make_quad(model, v3(-h, -h, 0), v3(2 * h, 0, 0), v3(0, 2 * h, 0), 8, tray);
+    make_quad(model, v3(-h, -h, 0), v3(0, 2 * h, 0), v3(0, 0, d), 4, tray);
+    make_quad(model, v3(h, -h, 0), v3(0, 0, d), v3(0, 2 * h, 0), 4, tray);
+    make_quad(model, v3(-h, -h, 0), v3(0, 0, d), v3(2 * h, 0, 0), 4, tray);
+    make_quad(model, v3(-h, h, 0), v3(2 * h, 0, 0), v3(0, 0, d), 4, tray);
+    make_quad(model, v3(-0.2, -0.2, 0.002), v3(0.4, 0, 0), v3(0, 0.4, 0), 8, leds);
+    make_box(model, v3(-h, -h, d + 0.001), v3(h, h, d + 0.004), false, 8, plate);
+    finish_model(model);
+    return model;
+}
+
 /* A cube of 0.5 m, of which a way across has a mean optical depth of 2.5. */
 static lum_model *haze(lum_grid *grid, double voxels, lum_volume *v)
 {
@@ -148,35 +171,41 @@ int main(int argc, char **argv)
     variant shell[3] = {{.name = "glass, clear", .model = ball(0, 0), .photons = 60000},
                         {.name = "glass, opal, depth 1.2, isotropic", .model = ball(400, 0), .photons = 20000},
                         {.name = "glass, opal, depth 6, forward", .model = ball(2000, 0.8f), .photons = 8000}};
+    variant plate[2] = {{.name = "panel, clear plate", .model = panel(0), .photons = 60000},
+                        {.name = "panel, opal plate, depth 1.2", .model = panel(400), .photons = 20000}};
     variant cloud[3] = {{.name = "haze, homogeneous", .model = haze(grids[0], 1, &volumes[0]), .photons = 60000},
                         {.name = "haze, 128^3 voxels", .model = haze(grids[1], N, &volumes[1]), .photons = 60000},
                         {.name = "haze, 128^3, a few voxels of 1e6", .model = haze(grids[2], N, &volumes[2]), .photons = 40000}};
-    for (int i = 0; i < 3; ++i) {
-        prepare(&shell[i]);
-        prepare(&cloud[i]);
+    const struct {
+        variant *variants;
+        size_t count;
+    } groups[3] = {{shell, 3}, {plate, 2}, {cloud, 3}};
+    for (int g = 0; g < 3; ++g) {
+        for (size_t i = 0; i < groups[g].count; ++i)
+            prepare(&groups[g].variants[i]);
+        run(groups[g].variants, groups[g].count);
     }
-    run(shell, 3);
-    run(cloud, 3);
     if (json)
         printf("{\"media\": [\n");
     else
         printf("%-36s %12s %10s %8s\n", "", "photons/s", "segments", "ratio");
-    for (int i = 0; i < 6; ++i) {
-        const variant *first = i < 3 ? shell : cloud, *v = &first[i % 3];
-        if (json)
-            printf("%s{\"name\": \"%s\", \"photons_per_second\": %.4g, \"segments\": %.4g, \"ratio\": %.4g}", i ? ",\n" : "", v->name, v->rate,
-                   v->segments, v->rate / first->rate);
-        else
-            printf("%-36s %12.0f %10.2f %8.3f\n", v->name, v->rate, v->segments, v->rate / first->rate);
-    }
+    for (int g = 0; g < 3; ++g)
+        for (size_t i = 0; i < groups[g].count; ++i) {
+            const variant *first = groups[g].variants, *v = &first[i];
+            if (json)
+                printf("%s{\"name\": \"%s\", \"photons_per_second\": %.4g, \"segments\": %.4g, \"ratio\": %.4g}", g + (int)i ? ",\n" : "", v->name,
+                       v->rate, v->segments, v->rate / first->rate);
+            else
+                printf("%-36s %12.0f %10.2f %8.3f\n", v->name, v->rate, v->segments, v->rate / first->rate);
+        }
     if (json)
         printf("\n]}\n");
-    for (int i = 0; i < 3; ++i) {
-        shell[i].source->destroy(shell[i].source);
-        cloud[i].source->destroy(cloud[i].source);
-        free_model(shell[i].model);
-        free_model(cloud[i].model);
-        lum_grid_destroy(grids[i]);
+    for (int g = 0; g < 3; ++g) {
+        for (size_t i = 0; i < groups[g].count; ++i) {
+            groups[g].variants[i].source->destroy(groups[g].variants[i].source);
+            free_model(groups[g].variants[i].model);
+        }
+        lum_grid_destroy(grids[g]);
     }
     return 0;
 }

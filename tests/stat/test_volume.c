@@ -458,7 +458,7 @@ static void bad_vdb_files_are_refused(void **state)
     char path[1024];
     lmg_error err = {{0}};
     file_name(path, sizeof(path), "bad");
-    refused("/nowhere/smoke.vdb", NULL, 0, "");
+    refused("/nowhere/smoke.vdb", NULL, LMG_ERROR_FILE_OPEN, "");
     make_values(SMOOTH, values);
     assert_int_equal(lum_vdb_write(path, "temperature", LOW, SIZE, values, MAP, &err), LMG_OK);
     refused(path, "density", LMG_ERROR_INPUT, "\"temperature\"");
@@ -484,7 +484,7 @@ static void bad_vdb_files_are_refused(void **state)
         assert_non_null(file);
         assert_int_equal(fwrite(bytes, 1, cut, file), cut);
         fclose(file);
-        refused(path, NULL, 0, "");
+        refused(path, NULL, LMG_ERROR_FILE_READ, "");
     }
     /* Not a grid at all. */
     file = fopen(path, "wb");
