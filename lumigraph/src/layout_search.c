@@ -250,8 +250,8 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
         }
         if (level == 0)
             total = inside;
-        /* a window that holds little of the light isn't worth its cells */
-        if (inside < 0.2 * total)
+        /* a window that holds little of the light isn't worth its cells; a beam exactly on the border of classes may leave one empty */
+        if (!(inside > 0) || inside < 0.2 * total)
             break;
         int x0 = 0, x1 = BINS, y0 = 0, y1 = BINS, kept = BINS * BINS;
         while ((x1 - x0) * (y1 - y0) * AREA_PER_LEVEL > BINS * BINS && x1 - x0 > 4 && y1 - y0 > 4) {

@@ -131,8 +131,20 @@ static void test_needles(void **state)
                                              DIRECTIONS[c].name, KINDS[k]);
                 hard_holds(name, "every photon in one cell, flux exact", t.rays == N && t.stored == N && t.unplaced == 0 && t.refused == 0,
                            "%.0f of %d stored in %zu cells", t.stored, N, cells_with_light(f));
-                if (narrow)
-                    hard_holds(name, "one ray, one cell", cells_with_light(f) == 1, "%zu cells", cells_with_light(f));
+                const lmg_ledger l = lmg_field_ledger(f);
+                hard_at_most(name, "stored and residual are all", fabs(l.stored + l.residual - 1), 1e-9);
+                if (narrow) {
+                    /* from that corner some directions touch the box in the corner alone: no cell can carry light of lines that pass the
+                     * box by, so it is counted as residual */
+                    const bool touches = d.x < 0 || d.z < 0;
+                    hard_holds(name, "one ray, one cell; if it only touches the box's corner, one cell or residual",
+                               (cells_with_light(f) == 1 && l.residual == 0) || (touches && cells_with_light(f) == 0 && l.stored == 0),
+                               "%zu cells, residual %g", cells_with_light(f), l.residual);
+                }
+                if (l.stored == 0) {
+                    lmg_field_destroy(f);
+                    continue;
+                }
                 double cell;
                 const double widest = widest_emission(f, d, &cell);
                 hard_at_most(name, "emitted in the beam's direction within a cell (sine of the angle)", widest, cell + 1.5 * half);
@@ -155,10 +167,10 @@ static lmg_layout one_slab(lmg_slab_kind kind, double distance, uint32_t nu, uin
                             .b = v3(0, 0, 1),
                             .n = v3(0, -1, 0),
                             .distance = distance,
-                            .u0 = -0.06,
-                            .u1 = 0.06,
-                            .v0 = -0.06,
-                            .v1 = 0.06,
+                            .u0 = -0.05,
+                            .u1 = 0.05,
+                            .v0 = -0.05,
+                            .v1 = 0.05,
                             .s0 = -reach,
                             .s1 = reach,
                             .t0 = -reach,
@@ -184,7 +196,7 @@ static void test_resolutions(void **state)
             const lmg_vec3 d = {r * cos(phi), -sqrt(1 - u), r * sin(phi)};
             if (fabs(d.x) > -d.y || fabs(d.z) > -d.y)
                 continue;
-            rays[i] = (lmg_ray){.origin = v3(0.1 * lum_rng_next(&rng) - 0.05, -0.01, 0.1 * lum_rng_next(&rng) - 0.05),
+            rays[i] = (lmg_ray){.origin = v3(0.1 * lum_rng_next(&rng) - 0.05, -0.02, 0.1 * lum_rng_next(&rng) - 0.05),
                                 .direction = d,
                                 .flux = {1, 1, 1},
                                 .number = i};
