@@ -7,11 +7,12 @@
 double lum_fresnel_dielectric(double cos_i, double eta)
 {
     double c = cos_i < 1 ? cos_i : 1;
-    double sin2_t = (1 - c) * (1 + c) / (eta * eta);
-    if (sin2_t >= 1) {
+    /* 1 - (1 - c^2) / eta^2 without the cancellation that costs the critical angle its digits where eta is close to 1 */
+    double cos2_t = (c * c - (1 - eta) * (1 + eta)) / (eta * eta);
+    if (cos2_t <= 0) {
         return eta == 1 ? 0 : 1;
     }
-    double ct = sqrt(1 - sin2_t);
+    double ct = sqrt(cos2_t);
     double rs = (c - eta * ct) / (c + eta * ct);
     double rp = (eta * c - ct) / (eta * c + ct);
     return 0.5 * (rs * rs + rp * rp);
