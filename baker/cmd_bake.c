@@ -375,9 +375,8 @@ static void print_remarks(const bake_report *r)
     const double n = r->tally.emitted;
     if (r->tally.lost_inside > 0)
         fprintf(stderr,
-                "warning: %.3g %% of the light left the model while inside a solid dielectric: its mesh is open or its faces point "
-                "inwards; "
-                "close it, or declare it thin-walled (--set thin:MATERIAL)\n",
+                "warning: %.3g %% of the light left the model while inside a solid dielectric: its mesh is open, its faces point "
+                "inwards, or it touches another solid face to face; close it, declare it thin-walled (--set thin:MATERIAL), or leave a gap\n",
                 100 * r->tally.lost_inside / n);
     if (r->tally.lost - r->tally.lost_inside > 1e-6 * n)
         fprintf(stderr, "warning: %.3g %% of the light was lost to numerical errors\n",

@@ -101,6 +101,17 @@ typedef struct worker {
     bake_batch batch;
 } worker;
 
+/* Where light goes on that a surface doesn't turn: along its own line, so that a boundary without a step of the index changes nothing.
+ * Off the surface by the hit's error, as lum_offset; at grazing incidence that would be far along the line, so lum_offset serves. */
+static inline lmg_vec3 pass_straight(const lum_hit *hit, lmg_vec3 d)
+{
+    const double c = fabs(d.x * hit->ng.x + d.y * hit->ng.y + d.z * hit->ng.z);
+    if (c < 1.0 / 16)
+        return lum_offset(hit, d);
+    const double step = hit->error / c;
+    return (lmg_vec3){hit->position.x + step * d.x, hit->position.y + step * d.y, hit->position.z + step * d.z};
+}
+
 static double luminance(const double c[3])
 {
     return 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
@@ -628,6 +639,10 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, lum_surface 
         return 0;
     }
 #endif
+    if (s.wo.x == d.x && s.wo.y == d.y && s.wo.z == d.z) {
+        w->origin[i] = pass_straight(hit, d);
+        return photons;
+    }
     w->origin[i] = lum_offset(hit, s.wo);
     /* One Newton step towards unit length: rounding doesn't add up over hundreds of bounces. */
     const double n = 1.5 - 0.5 * (s.wo.x * s.wo.x + s.wo.y * s.wo.y + s.wo.z * s.wo.z);

@@ -173,9 +173,9 @@ static void test_filament(void **state)
                 const double q = rim * (i + c / 2) / RINGS, a = 6.283185307179586 * ((k + (c == 1 || c == 2)) % AROUND) / AROUND;
                 p[c] = v3(q * cos(a), q * q / (4 * focus), q * sin(a));
             }
-            make_triangle(m, p[0], p[2], p[1], mirror);
+            make_triangle(m, p[0], p[3], p[2], mirror);
             if (i > 0)
-                make_triangle(m, p[0], p[3], p[2], mirror);
+                make_triangle(m, p[0], p[2], p[1], mirror);
         }
     finish_model(m);
     bake_report report;
@@ -216,7 +216,7 @@ static void test_filament(void **state)
     m = disc_lamp(1e30f, 0.05, 0);
     const bake_options bright = {.photons = 20000, .seed = 4, .fit.cells = 10000};
     f = hard_bake(m, &bright, NULL);
-    const double e = hard_illuminance(f, v3(0, 10, 0), v3(0, -1, 0), NULL);
+    const double e = hard_illuminance(f, v3(0, -10, 0), v3(0, 1, 0), NULL);
     /* of a square of 0.1 m at 10 m: L A / d^2 to 1e-4; 20,000 photons: 1 % noise in what falls here within a cell */
     hard_at_most("luminance 1e30 cd/m2", "illuminance at 10 m, relative to L A / d^2", fabs(e / (1e30 * 0.01 / 100) - 1), 0.2);
     lmg_field_destroy(f);
