@@ -295,6 +295,14 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
     const double *scale = field->sampler->plan.scale[j];
     lmg_vec3 w = v_sub(point, slab->o), extent = v_sub(field->layout.bounds_max, field->layout.bounds_min);
     double h = v_dot(w, slab->n), pu = v_dot(w, slab->a), pv = v_dot(w, slab->b);
+    /* Nearer to an aperture's plane than a 64th of a cell, what is integrated is a spike between the points of the rule (of cube slabs the
+     * cuts follow it): such a point counts as one at that distance, where it sees the same cells. */
+    double least = d_max((slab->u1 - slab->u0) / slab->nu, (slab->v1 - slab->v0) / slab->nv) * (4.0 / MAX_PIECES);
+    if (slab->kind == LMG_SLAB_APERTURE && h != 0 && fabs(h) < least) {
+        double at = h < 0 ? -least : least;
+        point = v_fma(point, at - h, slab->n);
+        h = at;
+    }
     bool within = lmg_box_contains(field->layout.bounds_min, field->layout.bounds_max, point);
     /* A plane that lies ahead of the light (h < 0) counts for points beside the bounds, and only where it sticks out of them. */
     if (h == 0 || field->slabs[j].flux == 0 || (h < 0 && (e->inside || within || !lmg_box_behind(field->layout.bounds_min, field->layout.bounds_max, slab->n, point))))
