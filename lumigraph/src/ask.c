@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Asking a field: radiance along a ray, illuminance at a point, intensity in a direction.  All three see the same thing: radiance constant
- * within a cell, in the rays that the cell's slab owns and that come out of the bounds.
+ * Asking a field: radiance along a ray, illuminance at a point, intensity in a direction.  All three see the same thing: radiance linear within
+ * a cell as slopes.h says, in the rays that the cell's slab owns and that come out of the bounds.
  */
-#include "sampler.h"
+#include "cell_sum.h"
 
 #include <stdlib.h>
 
@@ -35,7 +35,7 @@ static void linear(const lmg_field *field, int j, const double uvst[4], float rg
             continue;
         uint64_t cell = ((i[1] * slab->nu + i[0]) * slab->nt + i[3]) * slab->ns + i[2];
         float c[3];
-        lmg_cell_rgb(field, (uint32_t)j, cell, c);
+        lmg_cell_mean(field, (uint32_t)j, cell, c);
         for (int k = 0; k < 3; k++)
             sum[k] += w * (double)c[k];
         double se = (double)field->slabs[j].standard_error[cell];
@@ -60,17 +60,17 @@ void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direct
         return;
     const lmg_slab *slab = &field->layout.slabs[j];
     /* the cell is asked for before it's known to be needed: the access to memory is what takes time */
-    uint64_t cell = lmg_plan_cell(plan, j, uvst);
-    lmg_cell_prefetch(field, (uint32_t)j, cell);
+    const lmg_place place = lmg_plan_place(plan, j, uvst);
+    lmg_place_prefetch(field, (uint32_t)j, &place);
     if (!lmg_downstream(&field->layout, origin, direction, v_dot(v_sub(origin, slab->o), slab->n)))
         return;
     if (filter == LMG_LINEAR) {
         linear(field, j, uvst, rgb, standard_error);
         return;
     }
-    lmg_cell_rgb(field, (uint32_t)j, cell, rgb);
+    lmg_place_rgb(field, (uint32_t)j, &place, rgb);
     if (standard_error)
-        *standard_error = field->slabs[j].standard_error[cell];
+        *standard_error = field->slabs[j].standard_error[place.cell];
 }
 
 bool lmg_field_enter(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction, double *t)
@@ -82,84 +82,12 @@ bool lmg_field_enter(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction
     return true;
 }
 
-/* ------------------------------------------------------------------------------- sums over cells with standard errors */
-
-/* Weights of cells, summed per cell, so that the standard error counts each cell once.  Open addressing, grows by doubling. */
-typedef struct cell_weights {
-    uint64_t *key; /* cell + 1; 0 = free */
-    double *weight;
-    uint32_t *used; /* places taken, in order of arrival, so that sums don't depend on the table's size */
-    size_t room, count;
-} cell_weights;
-
-static void weights_free(cell_weights *w)
-{
-    free(w->key);
-    free(w->weight);
-    free(w->used);
-}
-
-static bool weights_resize(cell_weights *w, size_t room)
-{
-    cell_weights n = {calloc(room, sizeof *n.key), calloc(room, sizeof *n.weight), malloc(room * sizeof *n.used), room, 0};
-    if (!n.key || !n.weight || !n.used) {
-        weights_free(&n);
-        return false;
-    }
-    for (size_t i = 0; i < w->count; i++) {
-        uint64_t key = w->key[w->used[i]];
-        size_t at = (size_t)(key * 0x9e3779b97f4a7c15u >> 20) & (room - 1);
-        while (n.key[at])
-            at = (at + 1) & (room - 1);
-        n.key[at] = key;
-        n.weight[at] = w->weight[w->used[i]];
-        n.used[n.count++] = (uint32_t)at;
-    }
-    weights_free(w);
-    *w = n;
-    return true;
-}
-
-static bool weights_add(cell_weights *w, uint64_t cell, double weight)
-{
-    if (2 * (w->count + 1) > w->room && !weights_resize(w, w->room ? 2 * w->room : 256))
-        return false;
-    uint64_t key = cell + 1;
-    size_t at = (size_t)(key * 0x9e3779b97f4a7c15u >> 20) & (w->room - 1);
-    while (w->key[at] && w->key[at] != key)
-        at = (at + 1) & (w->room - 1);
-    if (!w->key[at]) {
-        w->key[at] = key;
-        w->used[w->count++] = (uint32_t)at;
-    }
-    w->weight[at] += weight;
-    return true;
-}
-
-/* Adds weight x radiance of slab j's gathered cells to rgb and the variance, and empties the table. */
-static void weights_flush(cell_weights *w, const lmg_field *field, uint32_t j, double rgb[3], double *variance)
-{
-    for (size_t i = 0; i < w->count; i++) {
-        size_t at = w->used[i];
-        uint64_t cell = w->key[at] - 1;
-        double weight = w->weight[at], se = (double)field->slabs[j].standard_error[cell];
-        float c[3];
-        lmg_cell_rgb(field, j, cell, c);
-        for (int k = 0; k < 3; k++)
-            rgb[k] += weight * (double)c[k];
-        *variance += weight * se * weight * se;
-        w->key[at] = 0;
-        w->weight[at] = 0;
-    }
-    w->count = 0;
-}
-
 /* ------------------------------------------------------------------------------------------------------- illuminance */
 
 /*
- * dE = L cos(receiver) cos(plane) / r^2 du dv over the planes, L constant within cells.  The plane is cut into rectangles along the
+ * dE = L cos(receiver) cos(plane) / r^2 du dv over the planes, L smooth within cells.  The plane is cut into rectangles along the
  * borders of (u,v) cells and, of cube slabs, along the lines where the ray to the point passes from one (s,t) cell into the next: s
- * depends on u alone there and t on v alone, so that L is constant in each rectangle, exactly.  What is left is smooth and is integrated by
+ * depends on u alone there and t on v alone, so that each rectangle sees one cell, exactly.  All is smooth there and integrated by
  * Gauss' rule of 2 x 2 points on pieces small beside their distance: relative error below 1e-4.  Of aperture slabs the (s,t) borders
  * are curved: there pieces are also small beside the (s,t) cells as seen from the point, and each point takes the cell it falls in.
  * Where others own parts of the plane, or lines pass the bounds by, pieces on the border are quartered until it doesn't matter.
@@ -206,6 +134,12 @@ static int pieces(double wanted)
     return (int)d_clamp(ceil(wanted), 1, MAX_PIECES);
 }
 
+/* Pieces, of two points each, for a width of so many (s,t) cells with curved borders: three to a cell; of many, whose errors cancel, one. */
+static double pieces_across(double cells)
+{
+    return cells < 3 ? 3 * cells : 6 + cells;
+}
+
 /* What the integration over one slab's plane shares. */
 typedef struct integral {
     const lmg_field *field;
@@ -215,7 +149,7 @@ typedef struct integral {
     double h;   /* of the point past the plane; negative: before it */
     bool whole; /* every line is the slab's own and comes out of the bounds before the point, but for those of the window */
     const lmg_slab *window; /* slab of higher priority in the same frame; NULL: none */
-    cell_weights *weights;
+    lmg_cell_sum *sum;
 } integral;
 
 /* The light's line from (u,v) to the point, of any length. */
@@ -223,6 +157,25 @@ static inline lmg_vec3 line_from(const integral *q, double u, double v)
 {
     lmg_vec3 from = v_fma(v_fma(q->slab->o, u, q->slab->a), v, q->slab->b);
     return q->h < 0 ? v_sub(from, q->point) : v_sub(q->point, from);
+}
+
+/*
+ * Whether a rectangle of one (u,v) cell, of sides a, b from (u0,v0), sees only (s,t) cells without light.  Its directions differ from its
+ * middle's by an angle of at most pi/2 times half its diagonal over its least distance.  (s,t) is their direction cosines in the square, whose
+ * map stretches by at most sqrt(1 + (4/pi)^2) = 1.62; of cube slabs one cell, the middle's.
+ */
+static bool sees_none(const integral *q, uint64_t iu, uint64_t iv, double u0, double v0, double a, double b, double nearest)
+{
+    const lmg_slab *slab = q->slab;
+    const double *scale = q->field->sampler->plan.scale[q->j];
+    const uint16_t *lit = q->field->sampler->slopes[q->j].lit[iv * slab->nu + iu];
+    if (lit[0] > lit[1])
+        return true;
+    double margin = slab->kind == LMG_SLAB_CUBE ? 0 : LMG_PI / 2 * 1.62 * 0.5 * hypot(a, b) / nearest, s, t;
+    lmg_vec3 middle = line_from(q, u0 + 0.5 * a, v0 + 0.5 * b);
+    lmg_slab_st(slab, middle, v_dot(middle, slab->n), u0 + 0.5 * a, v0 + 0.5 * b, &s, &t);
+    return (s + margin - slab->s0) * scale[2] < lit[0] || (s - margin - slab->s0) * scale[2] > lit[1] + 1 || (t + margin - slab->t0) * scale[3] < lit[2] ||
+           (t - margin - slab->t0) * scale[3] > lit[3] + 1;
 }
 
 /* Whether the line through (u,v) carries the slab's own light to the point. */
@@ -235,32 +188,45 @@ static bool is_own(const integral *q, double u, double v)
             lmg_plan_owner(&q->field->sampler->plan, v_fma(v_fma(q->slab->o, u, q->slab->a), v, q->slab->b), d, own) == (int)q->j);
 }
 
+/* Where x, counted in cells, is within cell i: from -1 to 1. */
+static inline float within(double x, double i)
+{
+    return (float)(2 * (x - i) - 1);
+}
+
 /* Adds a rectangle by Gauss' 2 x 2 points, all in the (u,v) cell iu, iv and, of cube slabs, in one (s,t) cell. */
 static bool add_rectangle(const integral *q, uint64_t iu, uint64_t iv, double u0, double v0, double width, double height, bool each)
 {
     static const double at[2] = {0.21132486540518712, 0.78867513459481288};
-    const lmg_slab *slab = q->slab;
+    const lmg_slab *slab = q->slab, *window = q->window;
     const double *scale = q->field->sampler->plan.scale[q->j];
     bool cube = slab->kind == LMG_SLAB_CUBE;
     for (int k = 0; k < 4; k++) {
         double u = u0 + at[k % 2] * width, v = v0 + at[k / 2] * height;
         lmg_vec3 d = line_from(q, u, v);
-        double facing = -v_dot(d, q->normal), s, t;
+        double facing = -v_dot(d, q->normal), s, t, own_s, own_t;
         if (!(facing > 0) || (each && !is_own(q, u, v)))
             continue;
-        /* cube slabs: (s,t) by the rectangle's middle, where no rounding can cross a border */
-        double mu = cube ? u0 + 0.5 * width : u, mv = cube ? v0 + 0.5 * height : v;
-        lmg_vec3 middle = cube ? line_from(q, mu, mv) : d;
-        lmg_slab_st(slab, middle, v_dot(middle, slab->n), mu, mv, &s, &t);
+        lmg_slab_st(slab, d, v_dot(d, slab->n), u, v, &own_s, &own_t);
+        s = own_s;
+        t = own_t;
+        if (cube) {
+            /* the cell by the rectangle's middle, where no rounding can cross a border */
+            double mu = u0 + 0.5 * width, mv = v0 + 0.5 * height;
+            lmg_vec3 middle = line_from(q, mu, mv);
+            lmg_slab_st(slab, middle, v_dot(middle, slab->n), mu, mv, &s, &t);
+        }
         if (!lmg_in_st(slab, s, slab->s0, slab->s1) || !lmg_in_st(slab, t, slab->t0, slab->t1))
             continue;
-        const lmg_slab *x = q->window;
-        if (x && u >= x->u0 && u < x->u1 && v >= x->v0 && v < x->v1 && lmg_in_st(x, s, x->s0, x->s1) && lmg_in_st(x, t, x->t0, x->t1))
+        if (window && u >= window->u0 && u < window->u1 && v >= window->v0 && v < window->v1 && lmg_in_st(window, s, window->s0, window->s1) &&
+            lmg_in_st(window, t, window->t0, window->t1))
             continue;
         double r2 = v_dot(d, d);
-        uint64_t is = lmg_cell_of(s, slab->s0, scale[2], slab->ns), it = lmg_cell_of(t, slab->t0, scale[3], slab->nt);
-        if (!weights_add(q->weights, ((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is,
-                         0.25 * width * height * facing * fabs(q->h) / (r2 * r2)))
+        uint32_t is = lmg_cell_of(s, slab->s0, scale[2], slab->ns), it = lmg_cell_of(t, slab->t0, scale[3], slab->nt);
+        const lmg_place place = {((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is, it * slab->ns + is,
+                                 {within((u - slab->u0) * scale[0], (double)iu), within((v - slab->v0) * scale[1], (double)iv),
+                                  within((own_s - slab->s0) * scale[2], is), within((own_t - slab->t0) * scale[3], it)}};
+        if (!lmg_cell_sum_add(q->sum, q->field, q->j, &place, 0.25 * width * height * facing * fabs(q->h) / (r2 * r2)))
             return false;
     }
     return true;
@@ -288,7 +254,7 @@ static bool add_piece(const integral *q, uint64_t iu, uint64_t iv, double u0, do
 }
 
 static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_vec3 point, lmg_vec3 normal, double rgb[3], double *variance,
-                                      cell_weights *weights, lmg_error *err)
+                                      lmg_cell_sum *sum, bool everywhere, lmg_error *err)
 {
     const lmg_slab *slab = &field->layout.slabs[j];
     const lmg_etendue *e = &field->sampler->etendue[j];
@@ -310,7 +276,7 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
     /* a window alone is told by coordinates, exactly where its borders are borders of cells, as lmg_layout_fit makes them */
     const lmg_slab *window = e->inside && e->aligned_overlap && e->higher_count == 1 ? &field->layout.slabs[e->higher[0]] : NULL;
     bool downstream = !within || h > 0;
-    const integral q = {field, j, slab, point, normal, h, (lmg_etendue_is_full(e) || window) && downstream, window, weights};
+    const integral q = {field, j, slab, point, normal, h, (lmg_etendue_is_full(e) || window) && downstream, window, sum};
     int levels = field->slabs[j].flux < FAINT * field->sampler->flux ? FAINT_BORDER_LEVELS : BORDER_LEVELS;
     /* cube slabs: only the part of the plane seen at slopes up to 1 */
     bool cube = slab->kind == LMG_SLAB_CUBE;
@@ -334,6 +300,9 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
             if (!(a > 0 && b > 0))
                 continue;
             double du = d_clamp(pu, a0, a0 + a) - pu, dv = d_clamp(pv, b0, b0 + b) - pv, nearest = sqrt(h * h + du * du + dv * dv);
+            uint64_t iu = lmg_cell_of(a0 + 0.5 * a, slab->u0, scale[0], slab->nu), iv = lmg_cell_of(b0 + 0.5 * b, slab->v0, scale[1], slab->nv);
+            if (!everywhere && sees_none(&q, iu, iv, a0, b0, a, b, nearest))
+                continue;
             double wanted_u = 4 * a / nearest, wanted_v = 4 * b / nearest;
             if (!q.whole) {
                 /* nothing of the bounds' shadow is to slip through between corners and middle */
@@ -341,18 +310,16 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
                 wanted_v = d_max(wanted_v, 12 * b / fabs(v_dot(extent, slab->b)));
             }
             if (!cube) {
-                /* two points to a piece: six to an (s,t) cell */
-                wanted_u = d_max(wanted_u, 3 * a / nearest * scale[2]);
-                wanted_v = d_max(wanted_v, 3 * b / nearest * scale[3]);
+                wanted_u = d_max(wanted_u, pieces_across(a / nearest * scale[2]));
+                wanted_v = d_max(wanted_v, pieces_across(b / nearest * scale[3]));
             }
             int nx = pieces(wanted_u), ny = pieces(wanted_v);
-            uint64_t iu = lmg_cell_of(a0 + 0.5 * a, slab->u0, scale[0], slab->nu), iv = lmg_cell_of(b0 + 0.5 * b, slab->v0, scale[1], slab->nv);
             for (int m = 0; m < ny; m++)
                 for (int k = 0; k < nx; k++)
                     if (!add_piece(&q, iu, iv, a0 + a * k / nx, b0 + b * m / ny, a / nx, b / ny, levels))
                         r = lmg_fail(err, LMG_ERROR_MEMORY, "illuminance: no memory");
         }
-    weights_flush(weights, field, j, rgb, variance);
+    lmg_cell_sum_flush(sum, field, j, rgb, variance);
 cleanup:
     free(cu.x);
     free(cv.x);
@@ -362,8 +329,14 @@ cleanup:
 lmg_result lmg_field_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, double rgb[3], double *standard_error,
                                  lmg_error *err)
 {
+    return lmg_illuminance(field, point, normal, false, rgb, standard_error, err);
+}
+
+lmg_result lmg_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, bool everywhere, double rgb[3], double *standard_error,
+                           lmg_error *err)
+{
     double variance = 0;
-    cell_weights weights = {0};
+    lmg_cell_sum sum = {.errors = standard_error != NULL};
     rgb[0] = rgb[1] = rgb[2] = 0;
     if (standard_error)
         *standard_error = 0;
@@ -372,8 +345,8 @@ lmg_result lmg_field_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec
                         normal.z);
     lmg_result r = LMG_OK;
     for (uint32_t j = 0; r == LMG_OK && j < field->layout.slab_count; j++)
-        r = illuminance_of_slab(field, j, point, normal, rgb, &variance, &weights, err);
-    weights_free(&weights);
+        r = illuminance_of_slab(field, j, point, normal, rgb, &variance, &sum, everywhere, err);
+    lmg_cell_sum_free(&sum);
     if (r == LMG_OK && standard_error)
         *standard_error = sqrt(variance);
     return r;
@@ -382,7 +355,7 @@ lmg_result lmg_field_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec
 lmg_result lmg_field_intensity(const lmg_field *field, lmg_vec3 direction, double rgb[3], double *standard_error, lmg_error *err)
 {
     double variance = 0;
-    cell_weights weights = {0};
+    lmg_cell_sum sum = {.errors = standard_error != NULL};
     lmg_result r = LMG_OK;
     rgb[0] = rgb[1] = rgb[2] = 0;
     if (standard_error)
@@ -420,18 +393,21 @@ lmg_result lmg_field_intensity(const lmg_field *field, lmg_vec3 direction, doubl
                         continue;
                     uint64_t is = lmg_cell_of(uvst[2], slab->s0, plan->scale[j][2], slab->ns);
                     uint64_t it = lmg_cell_of(uvst[3], slab->t0, plan->scale[j][3], slab->nt);
-                    uint64_t cell = (((uint64_t)iv * slab->nu + iu) * slab->nt + it) * slab->ns + is;
-                    if (!weights_add(&weights, cell, piece * dn)) {
+                    /* a whole (u,v) cell, at the mean of its slopes, its middle */
+                    const lmg_place place = {(((uint64_t)iv * slab->nu + iu) * slab->nt + it) * slab->ns + is, (uint32_t)(it * slab->ns + is),
+                                             {0, 0, within((uvst[2] - slab->s0) * plan->scale[j][2], (double)is),
+                                              within((uvst[3] - slab->t0) * plan->scale[j][3], (double)it)}};
+                    if (!lmg_cell_sum_add(&sum, field, j, &place, piece * dn)) {
                         r = lmg_fail(err, LMG_ERROR_MEMORY, "intensity: no memory");
                         goto cleanup;
                     }
                 }
-                weights_flush(&weights, field, j, rgb, &variance);
+                lmg_cell_sum_flush(&sum, field, j, rgb, &variance);
             }
     }
     if (standard_error)
         *standard_error = sqrt(variance);
 cleanup:
-    weights_free(&weights);
+    lmg_cell_sum_free(&sum);
     return r;
 }

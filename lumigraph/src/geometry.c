@@ -47,6 +47,12 @@ void lmg_plan_prepare(lmg_plan *plan, const lmg_layout *layout)
         plan->scale[j][1] = slab->nv / (slab->v1 - slab->v0);
         plan->scale[j][2] = slab->ns / (slab->s1 - slab->s0);
         plan->scale[j][3] = slab->nt / (slab->t1 - slab->t0);
+        const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0};
+        const uint32_t n[4] = {slab->nu, slab->nv, slab->ns, slab->nt};
+        for (int k = 0; k < 4; k++) {
+            plan->low[j][k] = low[k];
+            plan->last[j][k] = (int32_t)n[k] - 1;
+        }
         plan->first[j + 1] = plan->first[j] + lmg_slab_cells(slab);
         int own = slab->kind == LMG_SLAB_CUBE ? lmg_direction_class(slab->n) : -1;
         for (int c = 0; c < 6; c++) {

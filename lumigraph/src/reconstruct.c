@@ -96,6 +96,23 @@ static bool adopt(const lmg_etendue *e, const orphan *o, uint64_t *cell, double 
     return false;
 }
 
+/* Whether anything fell into a cell of the slab whose first cell this is. */
+typedef struct counted_cells {
+    const lmg_accumulator *acc;
+    uint64_t first;
+} counted_cells;
+
+static bool is_counted(const void *self, uint64_t cell)
+{
+    const counted_cells *c = self;
+    const uint32_t words = lmg_cell_words(c->acc->layout.channels);
+    const _Atomic uint64_t *w = c->acc->words + (c->first + cell) * words;
+    for (uint32_t k = 0; k < words; k++)
+        if (atomic_load_explicit(&w[k], memory_order_relaxed))
+            return true;
+    return false;
+}
+
 /* One slab; *homeless gets the flux and variance that no cell of it can carry. */
 static lmg_result reconstruct_slab(const lmg_accumulator *acc, uint32_t j, double lumens, lmg_field *field, cell_sum *homeless,
                                    lmg_error *err)
@@ -106,8 +123,13 @@ static lmg_result reconstruct_slab(const lmg_accumulator *acc, uint32_t j, doubl
     orphan *orphans = NULL;
     size_t orphan_count = 0, orphan_room = 0;
     lmg_result r = lmg_etendue_prepare(&e, &acc->layout, j, err);
-    if (r != LMG_OK)
+    const counted_cells counted = {acc, first};
+    if (r == LMG_OK)
+        r = lmg_etendue_share(&e, is_counted, &counted, err);
+    if (r != LMG_OK) {
+        lmg_etendue_release(&e);
         return r;
+    }
     uint64_t cell = 0;
     for (uint32_t iv = 0; iv < slab->nv; iv++)
         for (uint32_t iu = 0; iu < slab->nu; iu++)

@@ -10,15 +10,22 @@
 
 size_t lmg_sampler_memory(const lmg_sampler *sampler)
 {
-    return sampler ? sizeof *sampler + (size_t)sampler->row_count * sizeof *sampler->rows + lmg_groups_memory(sampler) : 0;
+    if (!sampler)
+        return 0;
+    size_t sum = sizeof *sampler + (size_t)sampler->row_count * sizeof *sampler->rows + lmg_groups_memory(sampler);
+    for (uint32_t j = 0; j < sampler->plan.layout->slab_count; j++)
+        sum += lmg_slopes_memory(&sampler->slopes[j], &sampler->plan.layout->slabs[j]);
+    return sum;
 }
 
 void lmg_sampler_destroy(lmg_sampler *sampler)
 {
     if (!sampler)
         return;
-    for (uint32_t j = 0; j < LMG_MAX_SLABS; j++)
+    for (uint32_t j = 0; j < LMG_MAX_SLABS; j++) {
         lmg_etendue_release(&sampler->etendue[j]);
+        lmg_slopes_destroy(&sampler->slopes[j]);
+    }
     lmg_groups_destroy(sampler);
     lmg_table_free(sampler->rows, (size_t)sampler->row_count * sizeof *sampler->rows);
     free(sampler);
@@ -50,6 +57,18 @@ static void sum_slab(lmg_field *field, lmg_sampler *sampler, uint32_t j, double 
     data->flux_se = sqrt(variance);
 }
 
+/* Whether a cell of a slab carries anything. */
+typedef struct lit_cells {
+    const lmg_field *field;
+    uint32_t j;
+} lit_cells;
+
+static bool is_lit(const void *self, uint64_t cell)
+{
+    const lit_cells *lit = self;
+    return lmg_cell_luminance(lit->field, lit->j, cell) != 0 || lit->field->slabs[lit->j].standard_error[cell] != 0;
+}
+
 lmg_result lmg_field_prepare(lmg_field *field, lmg_error *err)
 {
     const lmg_layout *layout = &field->layout;
@@ -70,8 +89,15 @@ lmg_result lmg_field_prepare(lmg_field *field, lmg_error *err)
     if (r == LMG_OK && !(s->rows = lmg_table_alloc((size_t)s->row_count * sizeof *s->rows)))
         r = lmg_fail(err, LMG_ERROR_MEMORY, "field: no memory for its sampler");
     double sum = 0;
-    for (uint32_t j = 0; r == LMG_OK && j < layout->slab_count; j++)
-        sum_slab(field, s, j, &sum);
+    for (uint32_t j = 0; r == LMG_OK && j < layout->slab_count; j++) {
+        const lit_cells lit = {field, j};
+        r = lmg_etendue_share(&s->etendue[j], is_lit, &lit, err);
+        if (r == LMG_OK) {
+            sum_slab(field, s, j, &sum);
+            r = lmg_slopes_create(&s->slopes[j], field, &s->etendue[j], err);
+        }
+        lmg_etendue_forget_share(&s->etendue[j]);
+    }
     if (r == LMG_OK)
         r = lmg_groups_create(field, s, err);
     if (r != LMG_OK) {
@@ -91,6 +117,33 @@ static double next_number(uint64_t *state)
     z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
     z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
     return (double)((z ^ (z >> 31)) >> 11) * 0x1p-53;
+}
+
+/*
+ * Turns a place, uniform in a cell of sides 1, into one distributed as the cell's slopes say.  In a pair of dimensions whose etendue is
+ * uniform, 1 + g.x at x and at -x add up to 2: the place is kept or reflected at the middle, and none is lost.  (s,t) of cube slabs: false
+ * where the place is rejected.
+ */
+static bool tilt(const lmg_slopes *slopes, uint64_t cell, uint32_t st, double within[4], uint64_t *state)
+{
+    const int8_t *g = lmg_slope(slopes, cell);
+    for (int k = 0; k < 4; k += 2) {
+        if (g[k] == 0 && g[k + 1] == 0)
+            continue;
+        double g0 = g[k] / 127.0, g1 = g[k + 1] / 127.0, m0 = 0, m1 = 0;
+        bool moved = k == 2 && slopes->centroid;
+        if (moved) {
+            m0 = (double)slopes->centroid[st][0];
+            m1 = (double)slopes->centroid[st][1];
+        }
+        double shape = 1 + g0 * (2 * within[k] - 1 - m0) + g1 * (2 * within[k + 1] - 1 - m1), r = next_number(state);
+        if (moved && r * (1 - g0 * m0 - g1 * m1 + fabs(g0) + fabs(g1)) >= shape)
+            return false;
+        if (!moved && 2 * r >= shape)
+            for (int m = k; m < k + 2; m++)
+                within[m] = d_min(1 - within[m], 1 - 0x1p-53);
+    }
+    return true;
 }
 
 bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
@@ -136,9 +189,10 @@ bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
                            cell / slab->ns % slab->nt};
     const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, *scale = sampler->plan.scale[j];
     /*
-     * Within the cell uniformly in etendue, by rejection.  Aperture slabs need none; for slopes, 1/(1+p^2+q^2)^2 against its largest value
-     * in the cell accepts at least 43 % (a cell of all directions); a cell shared with others at least 1 % (see reconstruct.c), so
-     * that 4096 tries fail with probability e^-17 at most and then keep their last candidate, whose flux isn't lost.
+     * Within the cell uniformly in etendue, by rejection, and along the slopes of its radiance (see tilt).  Aperture slabs need no rejection;
+     * for cube slabs, 1/(1+p^2+q^2)^2 against its largest value in the cell accepts at least 43 % (a cell of all directions), the slopes in
+     * (s,t) at least half, and a cell shared with others, which has no slopes, at least 1 % (see reconstruct.c), so that 4096 tries fail
+     * with probability e^-17 at most and then keep their last candidate, whose flux isn't lost.
      */
     double nearest = 0;
     if (slab->kind == LMG_SLAB_CUBE && isinf(slab->distance))
@@ -149,11 +203,16 @@ bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
         }
     uint64_t state = (uint64_t)(xi[1] * 0x1p53) * 0x9e3779b97f4a7c15u ^ (uint64_t)(xi[3] * 0x1p53);
     bool full = lmg_etendue_is_full(e);
+    const lmg_slopes *slopes = &sampler->slopes[j];
     lmg_vec3 x = {0}, d = {0};
     for (int tries = 0; tries < 4096; tries++) {
-        double uvst[4], own[4];
+        double uvst[4], own[4], within[4];
         for (int k = 0; k < 4; k++)
-            uvst[k] = low[k] + ((double)i[k] + (tries ? next_number(&state) : xi[k + 1])) / scale[k];
+            within[k] = tries ? next_number(&state) : xi[k + 1];
+        if (!tilt(slopes, cell, (uint32_t)(cell % ((uint64_t)slab->ns * slab->nt)), within, &state))
+            continue;
+        for (int k = 0; k < 4; k++)
+            uvst[k] = low[k] + ((double)i[k] + within[k]) / scale[k];
         lmg_slab_ray(slab, uvst, &x, &d);
         if (slab->kind == LMG_SLAB_CUBE) {
             double z = v_dot(d, slab->n), f = z * z * (1 + nearest);
@@ -171,7 +230,7 @@ bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
         x = v_fma(x, k1, d);
     double y = lmg_cell_luminance(field, j, cell);
     float rgb[3];
-    lmg_cell_rgb(field, j, cell, rgb);
+    lmg_cell_mean(field, j, cell, rgb);
     *out = (lmg_ray){.origin = x, .direction = d};
     for (int c = 0; c < 3; c++)
         out->flux[c] = (float)((double)rgb[c] / y);

@@ -6,6 +6,7 @@
 #include "etendue.h"
 #include "field.h"
 #include "geometry.h"
+#include "slopes.h"
 
 /*
  * How bright a group of slabs is seen from where: slabs that share a frame and so one (u,v) plane.  The plane is cut in blocks, 1 x 1 to
@@ -36,6 +37,7 @@ typedef struct lmg_group {
 struct lmg_sampler {
     lmg_plan plan;
     lmg_etendue etendue[LMG_MAX_SLABS];
+    lmg_slopes slopes[LMG_MAX_SLABS];
     /* Emission: running sum of flux over rows of cells, over all slabs in order.  A row is the cells that differ in s only, or a single
      * cell where the etendue of cells is costly (row_length 1). */
     double *rows;
@@ -55,22 +57,35 @@ static inline double lmg_cell_luminance(const lmg_field *field, uint32_t j, uint
     return field->layout.channels == 1 ? (double)r[cell] : lmg_luminance(&r[3 * cell]);
 }
 
-static inline void lmg_cell_prefetch(const lmg_field *field, uint32_t j, uint64_t cell)
+static inline void lmg_place_prefetch(const lmg_field *field, uint32_t j, const lmg_place *place)
 {
 #if defined(__GNUC__)
-    __builtin_prefetch(&field->slabs[j].radiance[cell * field->layout.channels]);
+    __builtin_prefetch(lmg_slope(&field->sampler->slopes[j], place->cell));
 #else
-    (void)field, (void)j, (void)cell;
+    (void)field, (void)j, (void)place;
 #endif
 }
 
-/* R,G,B of a cell. */
-static inline void lmg_cell_rgb(const lmg_field *field, uint32_t j, uint64_t cell, float rgb[3])
+/* R,G,B of a cell: its mean. */
+static inline void lmg_cell_mean(const lmg_field *field, uint32_t j, uint64_t cell, float rgb[3])
 {
     const float *r = field->slabs[j].radiance;
     for (int c = 0; c < 3; c++)
         rgb[c] = field->layout.channels == 1 ? r[cell] * field->layout.colour[c] : r[3 * cell + (uint64_t)c];
 }
+
+/* R,G,B at a place of slab j. */
+static inline void lmg_place_rgb(const lmg_field *field, uint32_t j, const lmg_place *place, float rgb[3])
+{
+    const lmg_slopes *slopes = &field->sampler->slopes[j];
+    float shape = lmg_shape(slopes, place);
+    for (int c = 0; c < 3; c++)
+        rgb[c] = shape * (slopes->rgb ? slopes->rgb[place->cell].rgb[c] : slopes->y[place->cell].y * field->layout.colour[c]);
+}
+
+/* ask.c: lmg_field_illuminance; everywhere: also where no light can be, which must give the same. */
+lmg_result lmg_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, bool everywhere, double rgb[3], double *standard_error,
+                           lmg_error *err);
 
 /* seen.c */
 lmg_result lmg_groups_create(const lmg_field *field, lmg_sampler *sampler, lmg_error *err);

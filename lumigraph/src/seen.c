@@ -694,8 +694,8 @@ bool lmg_field_sample_point(const lmg_field *field, lmg_vec3 point, const double
     int j = lmg_plan_owner(&sampler->plan, point, v_scale(-1, d), uvst);
     if (j < 0 || sampler->group_of[j] < 0 || &sampler->groups[sampler->group_of[j]] != w->g)
         return false;
-    uint64_t cell = lmg_plan_cell(&sampler->plan, j, uvst);
-    lmg_cell_prefetch(field, (uint32_t)j, cell);
+    const lmg_place place = lmg_plan_place(&sampler->plan, j, uvst);
+    lmg_place_prefetch(field, (uint32_t)j, &place);
     if (!lmg_box_interval(layout->bounds_min, layout->bounds_max, point, d, &k0, &k1) || k1 < 0)
         return false;
     out->direction = d;
@@ -707,7 +707,7 @@ bool lmg_field_sample_point(const lmg_field *field, lmg_vec3 point, const double
         out->pdf = density(&s, w, &l, c);
     else
         out->pdf = lmg_field_point_pdf(field, point, d);
-    lmg_cell_rgb(field, (uint32_t)j, cell, out->radiance);
+    lmg_place_rgb(field, (uint32_t)j, &place, out->radiance);
     if (out->radiance[0] == 0 && out->radiance[1] == 0 && out->radiance[2] == 0)
         return false;
     return out->pdf > 0;

@@ -261,8 +261,9 @@ LMG_API lmg_result lmg_field_write(const lmg_field *field, const char *path, lmg
 
 /* ------------------------------------------------------------------------------------------------------------- asking */
 
-/* How cells are read: as they are (exactly what emission and illuminance use), or interpolated between neighbours (for pictures of the
- * luminaire itself, where steps would show). */
+/* How cells are read.  NEAREST: from the ray's own cell, in which radiance is linear with slopes from its neighbours and keeps its mean,
+ * exactly what emission, illuminance and intensity use.  LINEAR: interpolated between cells (for pictures of the luminaire itself, where
+ * steps from cell to cell would show). */
 typedef enum lmg_filter { LMG_NEAREST = 0, LMG_LINEAR = 1 } lmg_filter;
 
 /* Radiance (cd/m2, as R,G,B) of the light that travels through origin (outside the bounds, downstream of the luminaire) in direction
