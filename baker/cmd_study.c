@@ -93,8 +93,8 @@ static double seconds_of(const study_rung *r)
 static void print_rung(FILE *to, const study_rung *r)
 {
     fprintf(to, "%9.3g %9.3g %7.1f %6.1f", (double)r->photons, (double)r->cells, seconds_of(r), 1e-6 * (double)r->bytes);
-    for (int m = 0; m < STUDY_MEASURES; ++m)
-        fprintf(to, "  %6.2f +- %-4.2f", 100 * r->error[m].rms, 100 * r->error[m].standard_error);
+    for (int m = 0; m < JUDGE_MEASURES; ++m)
+        fprintf(to, "  %6.2f +- %-4.2f", 100 * r->verdict.error[m].rms, 100 * r->verdict.error[m].standard_error);
     fputc('\n', to);
 }
 
@@ -109,14 +109,14 @@ static void show_progress(void *self, const study_rung *rung, size_t done, size_
     print_rung(stderr, rung);
 }
 
-static json_t *error_json(study_error e)
+static json_t *error_json(judge_error e)
 {
     return json_pack("{s:o, s:o}", "rms", json_number(e.rms), "standard_error", json_number(e.standard_error));
 }
 
 static json_t *study_json(const command *c, const study *s)
 {
-    static const char *const KEYS[STUDY_MEASURES] = {"near_field", "far_field", "luminance"};
+    static const char *const KEYS[JUDGE_MEASURES] = {"near_field", "far_field", "luminance"};
     json_t *rungs = json_array(), *fits = json_object(), *advice = json_array();
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
@@ -125,14 +125,14 @@ static json_t *study_json(const command *c, const study *s)
                                                       (json_int_t)r->bytes, "pilot_s", r->pilot_seconds, "trace_s", r->trace_seconds,
                                                       "reconstruct_s", r->reconstruct_seconds, "write_s", r->write_seconds, "noise",
                                                       json_number(r->noise));
-        for (int k = 0; k < STUDY_DISTANCES; ++k)
-            json_array_append_new(planes, error_json(r->planes[k]));
+        for (int k = 0; k < JUDGE_DISTANCES; ++k)
+            json_array_append_new(planes, error_json(r->verdict.planes[k]));
         json_object_set_new(j, "planes", planes);
-        for (int m = 0; m < STUDY_MEASURES; ++m)
-            json_object_set_new(j, KEYS[m], error_json(r->error[m]));
+        for (int m = 0; m < JUDGE_MEASURES; ++m)
+            json_object_set_new(j, KEYS[m], error_json(r->verdict.error[m]));
         json_array_append_new(rungs, j);
     }
-    for (int m = 0; m < STUDY_MEASURES; ++m)
+    for (int m = 0; m < JUDGE_MEASURES; ++m)
         json_object_set_new(fits, KEYS[m], json_pack("{s:o, s:o, s:o, s:o, s:o}", "scale", json_number(s->fit[m].scale), "floor",
                                                      json_number(s->fit[m].floor), "slope", json_number(s->fit[m].slope),
                                                      "slope_standard_error", json_number(s->fit[m].slope_se), "reference_noise",
@@ -153,8 +153,8 @@ static void print_study(const command *c, const study *s)
     printf("%s: judged by %.3g rays of its own, size %.4g m\n%s", c->lamp.path, (double)s->reference_photons, s->size, HEAD);
     for (size_t i = 0; i < s->rung_count; ++i)
         print_rung(stdout, &s->rungs[i]);
-    for (int m = 0; m < STUDY_MEASURES; ++m)
-        printf("%-24s slope %.3f +- %.3f, floor %.2f %%\n", study_measure_name((study_measure)m), s->fit[m].slope, s->fit[m].slope_se,
+    for (int m = 0; m < JUDGE_MEASURES; ++m)
+        printf("%-24s slope %.3f +- %.3f, floor %.2f %%\n", judge_measure_name((judge_measure)m), s->fit[m].slope, s->fit[m].slope_se,
                100 * s->fit[m].floor);
     printf("depositing takes %.0f %% of tracing\n", 100 * s->deposit_share);
     for (int t = 0; t < STUDY_TARGETS; ++t) {

@@ -1,11 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The accuracy study: ladders of bakes, judged by the receivers of the comparison (compare.c). */
+/* The accuracy study: ladders of bakes, judged by the lamp's own rays (judge.c). */
 #include "study.h"
 
-#include "compare_inside.h"
-
 #include <luminaires/model.h>
-#include <luminaires/rng.h>
 
 #include <errno.h>
 #include <math.h>
@@ -15,7 +12,6 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-static const double DISTANCES[STUDY_DISTANCES] = {0.5, 1, 2, 5, 10};
 static const double TARGETS[STUDY_TARGETS] = {0.05, 0.02, 0.01, 0.005};
 /* Shares of the study's time: the lamp's own rays; the ladder of photons, each rung twice the one before; the ladder of cells.  What is
  * left goes into judging the boxes. */
@@ -28,19 +24,11 @@ static const uint64_t DEFAULT_CELLS = 4000000;
 static const uint64_t LEAST_JUDGING = 100000;
 static const uint64_t TRIAL = 100000; /* photons that tell the speed */
 
-const char *study_measure_name(study_measure m)
-{
-    static const char *const NAMES[STUDY_MEASURES] = {"near-field illuminance", "far-field intensity", "luminance pictures"};
-    return NAMES[m];
-}
-
 typedef struct ladder {
     const lum_model *model;
     const study_options *options;
     study *out;
-    bake_source *lamp;
-    instrument instrument;
-    measured reference;
+    judge *judge;
     uint64_t judging; /* rays per box */
     char path[1100];  /* of the box being written */
     size_t planned;
@@ -49,55 +37,6 @@ typedef struct ladder {
 static bool stopped(const ladder *l)
 {
     return l->options->stop && *l->options->stop;
-}
-
-/* ------------------------------------------------------------------------------------------------------------- judging */
-
-static study_error error_of(const bake_difference *d)
-{
-    return (study_error){d->rms, d->standard_error};
-}
-
-/* The root of the mean of squares of several errors; a negative rms stands for a negative square, all noise. */
-static study_error together(const study_error *e, size_t count)
-{
-    double sum = 0, variance = 0;
-    for (size_t i = 0; i < count; ++i) {
-        sum += e[i].rms * fabs(e[i].rms) / (double)count;
-        variance += 4 * e[i].rms * e[i].rms * e[i].standard_error * e[i].standard_error / (double)(count * count);
-    }
-    const double rms = sum >= 0 ? sqrt(sum) : -sqrt(-sum);
-    return (study_error){rms, rms != 0 ? sqrt(variance) / (2 * fabs(rms)) : 0};
-}
-
-static lmg_result judge(ladder *l, const lmg_field *field, study_rung *rung, lmg_error *err)
-{
-    bake_source *box;
-    lmg_result result = bake_box_source_create(field, lum_mix64(l->options->seed + 0x62), &box, err);
-    if (result != LMG_OK)
-        return result;
-    measured m = {0};
-    bake_tally tally = {0};
-    const size_t planes = l->instrument.plane_count;
-    result = measure_source(box, &l->instrument, planes + RECEIVERS, &BAKE_NO_MOTION, 0, l->judging, l->options->threads, &m, NULL, &tally, err);
-    if (result == LMG_OK) {
-        for (size_t i = 0; i < planes; ++i) {
-            const bake_difference d = differ(&m.of[i], &l->reference.of[i]);
-            rung->planes[i] = error_of(&d);
-        }
-        const bake_difference far = differ(&m.of[planes + FAR_FIELD], &l->reference.of[planes + FAR_FIELD]);
-        study_error views[BAKE_VIEWS];
-        for (size_t i = 0; i < BAKE_VIEWS; ++i) {
-            const bake_difference d = differ(&m.of[planes + PICTURES + i], &l->reference.of[planes + PICTURES + i]);
-            views[i] = error_of(&d);
-        }
-        rung->error[STUDY_NEAR] = together(rung->planes, planes);
-        rung->error[STUDY_FAR] = error_of(&far);
-        rung->error[STUDY_LUMINANCE] = together(views, BAKE_VIEWS);
-    }
-    measured_release(&m);
-    box->destroy(box);
-    return result;
 }
 
 /* -------------------------------------------------------------------------------------------------------------- baking */
@@ -134,7 +73,7 @@ static lmg_result bake_rung(ladder *l, bool resolution, uint64_t photons, uint64
         rung->bytes = (uint64_t)status.st_size;
     unlink(l->path);
     if (result == LMG_OK)
-        result = judge(l, field, rung, err);
+        result = judge_box(l->judge, field, l->judging, &rung->verdict, err);
     lmg_field_destroy(field);
     if (result == LMG_OK) {
         ++s->rung_count;
@@ -152,14 +91,15 @@ static double rung_seconds(const study_rung *r)
 /* The share of tracing's time that depositing takes: the same photons with and without an accumulator, the lesser of three times each. */
 static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
 {
-    const lmg_fit_options fit = {.struct_size = sizeof(fit), .bounds_min = l->lamp->bounds_min, .bounds_max = l->lamp->bounds_max};
+    bake_source *lamp = judge_lamp(l->judge);
+    const lmg_fit_options fit = {.struct_size = sizeof(fit), .bounds_min = lamp->bounds_min, .bounds_max = lamp->bounds_max};
     bake_ray_list *list;
     lmg_result result = bake_ray_list_create(50000, &list, err);
     if (result != LMG_OK)
         return result;
     lmg_sink sink = bake_ray_list_sink(list);
     bake_tally tally = {0};
-    result = l->lamp->run(l->lamp, BAKE_PILOT_FIRST, 50000, l->options->threads, &sink, 1, &tally, err);
+    result = lamp->run(lamp, BAKE_PILOT_FIRST, 50000, l->options->threads, &sink, 1, &tally, err);
     size_t count;
     const lmg_ray *rays = bake_ray_list_sorted(list, &count);
     lmg_layout layout;
@@ -173,7 +113,7 @@ static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
         const int with = i % 2;
         sink = lmg_accumulator_sink(accumulator);
         const double began = bake_clock();
-        result = l->lamp->run(l->lamp, 0, photons, l->options->threads, &sink, (size_t)with, &tally, err);
+        result = lamp->run(lamp, 0, photons, l->options->threads, &sink, (size_t)with, &tally, err);
         least[with] = fmin(least[with], bake_clock() - began);
     }
     if (result == LMG_OK)
@@ -187,13 +127,13 @@ static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
 
 /* Least squares of error^2 = scale / n + floor^2 with both terms >= 0, weights from the errors of the errors, and the slope of
  * log(error) over log(n) with its standard error from the residuals. */
-static study_fit fit_ladder(const study *s, study_measure m)
+static study_fit fit_ladder(const study *s, judge_measure m)
 {
     double w0 = 0, wx = 0, wxx = 0, wy = 0, wxy = 0;
     double l0 = 0, lx = 0, lxx = 0, ly = 0, lxy = 0, lyy = 0;
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
-        const study_error e = r->error[m];
+        const judge_error e = r->verdict.error[m];
         if (r->resolution || !isfinite(e.rms))
             continue;
         const double x = 1 / (double)r->photons, y = e.rms * fabs(e.rms);
@@ -233,7 +173,7 @@ static study_fit fit_ladder(const study *s, study_measure m)
  * reaches it in the shortest time, and the photons for that. */
 static void give_advice(study *s)
 {
-    const study_fit *f = &s->fit[STUDY_NEAR];
+    const study_fit *f = &s->fit[JUDGE_NEAR];
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         study_advice *a = &s->advice[t];
         *a = (study_advice){.target = TARGETS[t]};
@@ -242,7 +182,7 @@ static void give_advice(study *s)
             if (!r->resolution || !(f->scale >= 0))
                 continue;
             /* A standard error to be on the safe side: what is hardly known mustn't come out as good. */
-            const double e = r->error[STUDY_NEAR].rms + r->error[STUDY_NEAR].standard_error;
+            const double e = r->verdict.error[JUDGE_NEAR].rms + r->verdict.error[JUDGE_NEAR].standard_error;
             const double floor2 = fmax(0, e * fabs(e) - f->scale / (double)r->photons);
             const double room = TARGETS[t] * TARGETS[t] - floor2;
             if (!(room > 0))
@@ -259,22 +199,19 @@ static void give_advice(study *s)
 
 /* ----------------------------------------------------------------------------------------------------------------- run */
 
-/* Rates from a trial: photons per second of the lamp with all receivers, and of bakes. */
+/* Measures the lamp; rates come from a trial: photons per second of the lamp with all receivers, and of bakes. */
 static lmg_result measure_reference(ladder *l, lmg_error *err)
 {
     study *s = l->out;
     const study_options *o = l->options;
-    measured trial = {0};
-    bake_tally tally = {0};
-    const size_t count = l->instrument.plane_count + RECEIVERS;
+    bake_source *lamp = judge_lamp(l->judge);
     double began = bake_clock();
-    lmg_result result =
-        measure_source(l->lamp, &l->instrument, count, &BAKE_NO_MOTION, BAKE_PILOT_FIRST, TRIAL, o->threads, &trial, NULL, &tally, err);
+    lmg_result result = judge_measure_lamp(l->judge, TRIAL, err);
     const double measuring = (double)TRIAL / fmax(bake_clock() - began, 1e-6);
-    measured_release(&trial);
     if (result == LMG_OK) {
+        bake_tally tally = {0};
         began = bake_clock();
-        result = l->lamp->run(l->lamp, BAKE_PILOT_FIRST, TRIAL, o->threads, NULL, 0, &tally, err);
+        result = lamp->run(lamp, BAKE_PILOT_FIRST, TRIAL, o->threads, NULL, 0, &tally, err);
         s->photons_per_second = 0.8 * (double)TRIAL / fmax(bake_clock() - began, 1e-6); /* deposits take about a fifth */
     }
     if (result != LMG_OK)
@@ -286,17 +223,9 @@ static lmg_result measure_reference(ladder *l, lmg_error *err)
     l->judging = (uint64_t)(left * o->seconds * measuring / (PHOTON_RUNGS + CELL_RUNGS));
     if (l->judging < LEAST_JUDGING)
         l->judging = LEAST_JUDGING;
-    tally = (bake_tally){0};
-    result = measure_source(l->lamp, &l->instrument, count, &BAKE_NO_MOTION, 0, s->reference_photons, o->threads, &l->reference, NULL,
-                            &tally, err);
-    if (result == LMG_OK && !(tally.escaped > 0))
-        result = lmg_fail(err, LMG_ERROR_INPUT, "%s: no light leaves the luminaire", l->model->path);
-    if (result == LMG_OK)
-        for (int m = 0; m < STUDY_MEASURES; ++m) {
-            const reading *r = &l->reference.of[m == STUDY_NEAR ? 0 : l->instrument.plane_count + (m == STUDY_FAR ? FAR_FIELD : PICTURES)];
-            const bake_difference d = differ(r, r);
-            s->reference_noise[m] = d.noise / sqrt(2); /* differ takes both sides as independent */
-        }
+    result = judge_measure_lamp(l->judge, s->reference_photons, err);
+    for (int m = 0; result == LMG_OK && m < JUDGE_MEASURES; ++m)
+        s->reference_noise[m] = judge_noise(l->judge, (judge_measure)m);
     return result;
 }
 
@@ -329,27 +258,19 @@ lmg_result study_run(const struct lum_model *model, const study_options *options
     ladder l = {.model = model, .options = options, .out = out};
     if ((size_t)snprintf(l.path, sizeof(l.path), "%s/lumibake-study-%ld.box.exr", options->folder, (long)getpid()) >= sizeof(l.path))
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "%.200s...: too long a folder", options->folder);
-    /* A seed apart from the bakes': the reference shares no photon with what it judges. */
-    lmg_result result = bake_tracer_create(model, lum_mix64(options->seed + 0x61), &l.lamp, err);
+    lmg_result result = judge_create(model, options->seed, options->flux_lm, options->threads, &l.judge, err);
     if (result != LMG_OK)
         return result;
-    if (options->flux_lm > 0)
-        l.lamp->flux = options->flux_lm;
-    result = bake_source_size(l.lamp, options->threads, &out->size, err);
-    if (result == LMG_OK)
-        result = source_main_axis(l.lamp, options->threads, &out->axis, err);
-    if (result == LMG_OK) {
-        set_up_instrument(&l.instrument, l.lamp->bounds_min, l.lamp->bounds_max, out->axis, out->size, DISTANCES, STUDY_DISTANCES);
-        result = measure_reference(&l, err);
-    }
+    out->size = judge_size(l.judge);
+    out->axis = judge_axis(l.judge);
+    result = measure_reference(&l, err);
     if (result == LMG_OK)
         result = climb(&l, err);
     if (result == LMG_OK) {
-        for (int m = 0; m < STUDY_MEASURES; ++m)
-            out->fit[m] = fit_ladder(out, (study_measure)m);
+        for (int m = 0; m < JUDGE_MEASURES; ++m)
+            out->fit[m] = fit_ladder(out, (judge_measure)m);
         give_advice(out);
     }
-    measured_release(&l.reference);
-    l.lamp->destroy(l.lamp);
+    judge_destroy(l.judge);
     return result;
 }

@@ -6,26 +6,16 @@
 #ifndef BAKER_STUDY_H
 #define BAKER_STUDY_H
 
-#include "bake.h"
+#include "judge.h"
 
-enum { STUDY_MAX_RUNGS = 24, STUDY_DISTANCES = 5, STUDY_TARGETS = 4 };
-
-/* An error: relative RMS, noise of the judging taken out. */
-typedef struct study_error {
-    double rms, standard_error;
-} study_error;
-
-/* What is judged.  Near: RMS of the five planes' errors at 0.5, 1, 2, 5 and 10 sizes. */
-typedef enum study_measure { STUDY_NEAR, STUDY_FAR, STUDY_LUMINANCE, STUDY_MEASURES } study_measure;
-const char *study_measure_name(study_measure measure);
+enum { STUDY_MAX_RUNGS = 24, STUDY_TARGETS = 4 };
 
 typedef struct study_rung {
     bool resolution; /* of the ladder of cells; false: of the ladder of photons */
     uint64_t photons, cells, bytes; /* cells: as laid out */
     uint64_t cells_asked;
     double pilot_seconds, trace_seconds, reconstruct_seconds, write_seconds;
-    study_error error[STUDY_MEASURES];
-    study_error planes[STUDY_DISTANCES];
+    judge_verdict verdict;
     double noise; /* what the bake itself said: bake_report.noise */
 } study_rung;
 
@@ -58,10 +48,10 @@ typedef struct study {
     double size; /* metres */
     lmg_vec3 axis;
     uint64_t reference_photons;
-    double reference_noise[STUDY_MEASURES]; /* relative, of the lamp's rays alone */
+    double reference_noise[JUDGE_MEASURES]; /* relative, of the lamp's rays alone */
     size_t rung_count;
     study_rung rungs[STUDY_MAX_RUNGS];
-    study_fit fit[STUDY_MEASURES];
+    study_fit fit[JUDGE_MEASURES];
     study_advice advice[STUDY_TARGETS];
     double photons_per_second; /* of whole bakes: the largest rung of the ladder of photons */
     double deposit_share;      /* of the time of tracing that goes into counting rays in cells */

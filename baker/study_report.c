@@ -15,23 +15,23 @@ static double seconds_of(const study_rung *r)
 /* One curve per measure over x(rung), of one of the ladders. */
 static void add_errors(bake_page *page, const study *s, bool resolution, const bake_axes *axes, double (*x_of)(const study_rung *))
 {
-    double x[STUDY_MAX_RUNGS], y[STUDY_MEASURES][STUDY_MAX_RUNGS], se[STUDY_MEASURES][STUDY_MAX_RUNGS];
+    double x[STUDY_MAX_RUNGS], y[JUDGE_MEASURES][STUDY_MAX_RUNGS], se[JUDGE_MEASURES][STUDY_MAX_RUNGS];
     size_t count = 0;
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
         if (r->resolution != resolution)
             continue;
         x[count] = x_of(r);
-        for (int m = 0; m < STUDY_MEASURES; ++m) {
-            y[m][count] = 100 * r->error[m].rms;
-            se[m][count] = 100 * r->error[m].standard_error;
+        for (int m = 0; m < JUDGE_MEASURES; ++m) {
+            y[m][count] = 100 * r->verdict.error[m].rms;
+            se[m][count] = 100 * r->verdict.error[m].standard_error;
         }
         ++count;
     }
-    bake_curve curves[STUDY_MEASURES];
-    for (int m = 0; m < STUDY_MEASURES; ++m)
-        curves[m] = (bake_curve){.name = study_measure_name((study_measure)m), .x = x, .y = y[m], .y_se = se[m], .count = count};
-    bake_page_plot(page, axes, curves, STUDY_MEASURES);
+    bake_curve curves[JUDGE_MEASURES];
+    for (int m = 0; m < JUDGE_MEASURES; ++m)
+        curves[m] = (bake_curve){.name = judge_measure_name((judge_measure)m), .x = x, .y = y[m], .y_se = se[m], .count = count};
+    bake_page_plot(page, axes, curves, JUDGE_MEASURES);
 }
 
 static double cells_of(const study_rung *r)
@@ -44,7 +44,7 @@ static double megabytes_of(const study_rung *r)
     return 1e-6 * (double)r->bytes;
 }
 
-static const char *percent(char text[48], study_error e)
+static const char *percent(char text[48], judge_error e)
 {
     snprintf(text, 48, "%.3g \u00b1 %.2g", 100 * e.rms, 100 * e.standard_error);
     return text;
@@ -60,9 +60,9 @@ static void add_rungs(bake_page *page, const study *s)
         const study_rung *r = &s->rungs[i];
         char near[48], far[48], luminance[48];
         bake_page_row(page, "%.3g\t%.3g\t%.3g\t%.3g\t%s\t%.3g\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%s\t%.3g", (double)r->photons, (double)r->cells,
-                      seconds_of(r), megabytes_of(r), percent(near, r->error[STUDY_NEAR]), 100 * r->planes[0].rms, 100 * r->planes[1].rms,
-                      100 * r->planes[2].rms, 100 * r->planes[3].rms, 100 * r->planes[4].rms, percent(far, r->error[STUDY_FAR]),
-                      percent(luminance, r->error[STUDY_LUMINANCE]), 100 * r->noise);
+                      seconds_of(r), megabytes_of(r), percent(near, r->verdict.error[JUDGE_NEAR]), 100 * r->verdict.planes[0].rms, 100 * r->verdict.planes[1].rms,
+                      100 * r->verdict.planes[2].rms, 100 * r->verdict.planes[3].rms, 100 * r->verdict.planes[4].rms, percent(far, r->verdict.error[JUDGE_FAR]),
+                      percent(luminance, r->verdict.error[JUDGE_LUMINANCE]), 100 * r->noise);
     }
     bake_page_table_end(page);
 }
@@ -70,9 +70,9 @@ static void add_rungs(bake_page *page, const study *s)
 static void add_fits(bake_page *page, const study *s)
 {
     bake_page_table(page, "measure\tslope of log error over log photons\tfloor, %\tnoise of 10\u2076 photons, %\tnoise of the reference, %");
-    for (int m = 0; m < STUDY_MEASURES; ++m) {
+    for (int m = 0; m < JUDGE_MEASURES; ++m) {
         const study_fit *f = &s->fit[m];
-        bake_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3g\t%.3g\t%.3g", study_measure_name((study_measure)m), f->slope, f->slope_se, 100 * f->floor,
+        bake_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m), f->slope, f->slope_se, 100 * f->floor,
                       100 * sqrt(f->scale / 1e6), 100 * s->reference_noise[m]);
     }
     bake_page_table_end(page);
