@@ -5,6 +5,7 @@
 #include "bake.h"
 #include "effects.h"
 #include "part.h"
+#include "target.h"
 #include "team.h"
 
 #include <luminaires/model.h>
@@ -20,6 +21,8 @@
 
 enum {
     KEY_TIME = 256,
+    KEY_ERROR,
+    KEY_ERROR_OF,
     KEY_PHOTONS,
     KEY_FLUX,
     KEY_OUTPUT_FLUX,
@@ -47,6 +50,8 @@ static const struct argp_option OPTIONS[] = {
     {"output", 'o', "BOX", 0, "the file to write, NAME.box.exr", 1},
     {"time", KEY_TIME, "TIME", 0, "trace for so long: 90s, 5m, 1h (default 60s)", 2},
     {"photons", KEY_PHOTONS, "N", 0, "trace so many photons, such as 1e8", 2},
+    {"error", KEY_ERROR, "PERCENT", 0, "until the box is that near to the lamp's own light, as judged by other rays of it", 2},
+    {"error-of", KEY_ERROR_OF, "WHAT", 0, "near-field (illuminance at 0.5 to 10 sizes; default), far-field or luminance", 2},
     {"flux", KEY_FLUX, "LM", 0, "what the lamp's sources emit, such as 800lm", 3},
     {"output-flux", KEY_OUTPUT_FLUX, "LM", 0, "what leaves the luminaire", 3},
     {"recipe", KEY_RECIPE, "FILE", 0, "lamp recipe (default LAMP.recipe.json if there)", 3},
@@ -85,6 +90,8 @@ typedef struct command {
     bool given_first;
     char part[1100]; /* the checkpoint's file */
     bool quiet, progress, json;
+    bake_target target; /* error 0: none */
+    bake_reached reached;
     /* progress on a terminal */
     bool terminal;
     double last_line;
@@ -99,6 +106,15 @@ static void parse_share(struct argp_state *state, const char *text, command *c)
         usage_error(state, "--share: '%s' is not a share such as 2/7, of 1024 at most", text);
     c->share = k;
     c->shares = n;
+}
+
+static judge_measure error_of(struct argp_state *state, const char *text)
+{
+    static const char *const NAMES[JUDGE_MEASURES] = {"near-field", "far-field", "luminance"};
+    for (int m = 0; m < JUDGE_MEASURES; ++m)
+        if (!strcmp(text, NAMES[m]))
+            return (judge_measure)m;
+    usage_error(state, "--error-of: '%s' is not near-field, far-field or luminance", text);
 }
 
 /* Which photons, once all options are known. */
@@ -144,6 +160,14 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         c->bake.photons = argument_count(state, "--photons", arg, 0, UINT64_C(1) << 52);
         if (c->bake.photons == 0)
             usage_error(state, "--photons: no photons, no light; give at least 1, or --time");
+        break;
+    case KEY_ERROR:
+        c->target.error = argument_percent(state, "--error", arg);
+        if (c->target.error < 1e-4)
+            usage_error(state, "--error: '%s' is less than 0.01 %%", arg);
+        break;
+    case KEY_ERROR_OF:
+        c->target.of = error_of(state, arg);
         break;
     case KEY_FLUX:
         c->bake.flux_lm = argument_lumens(state, "--flux", arg);
@@ -223,6 +247,10 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             usage_error(state, "where to? give -o NAME.box.exr");
         if (c->bake.photons && c->bake.seconds > 0)
             usage_error(state, "--time and --photons exclude each other");
+        if (c->target.error > 0 && (c->bake.photons || c->bake.seconds > 0 || c->resume || c->bake.keep || c->shares || c->given_first))
+            usage_error(state, "--error finds the photons by itself: no --time, --photons, --resume, --keep, --share or --first with it");
+        if (c->target.error > 0 && c->bake.output_flux_lm > 0)
+            usage_error(state, "--error and --output-flux exclude each other; give --flux");
         if (c->bake.flux_lm > 0 && c->bake.output_flux_lm > 0)
             usage_error(state, "--flux and --output-flux exclude each other");
         if (c->lamp.recipe_path && c->lamp.no_recipe)
@@ -256,6 +284,17 @@ static void show_progress(void *self, const bake_progress *p)
     fprintf(stderr, "%s%.4g M photons, %.3g M/s, %.4f %% of the flux accounted, noise %.2g %%, %s left%s", c->terminal ? "\r" : "",
             1e-6 * (double)p->photons, 1e-6 * p->rate, 100 * p->accounted, 100 * p->noise, left, c->terminal ? "\033[K" : "\n");
     fflush(stderr);
+}
+
+/* What a search for an error has found so far. */
+static void show_bake(void *self, unsigned bake, uint64_t photons, uint64_t cells, judge_error error, uint64_t next)
+{
+    const command *c = self;
+    fprintf(stderr, "%sbake %u: %.3g M photons, %.3g M cells: %s error %.3g +- %.2g %%", c->terminal ? "\r\033[K" : "", bake,
+            1e-6 * (double)photons, 1e-6 * (double)cells, judge_measure_name(c->target.of), 100 * error.rms, 100 * error.standard_error);
+    if (next > 0)
+        fprintf(stderr, "; next %.3g M photons", 1e-6 * (double)next);
+    fputc('\n', stderr);
 }
 
 /* The settings that decide the result (not threads, paths, or how the number of photons was reached), as canonical JSON. */
@@ -316,6 +355,11 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     json_object_set_new(o, "lost_inside_photons", json_real(r->tally.lost_inside));
     json_object_set_new(o, "efficiency", json_number((l.stored + l.residual) / l.emitted));
     json_object_set_new(o, "noise", json_number(r->noise));
+    if (c->target.error > 0)
+        json_object_set_new(o, "error", json_pack("{s:s, s:f, s:o, s:o, s:b, s:i}", "of", judge_measure_name(c->target.of), "asked",
+                                                  c->target.error, "rms", json_number(c->reached.error.rms), "standard_error",
+                                                  json_number(c->reached.error.standard_error), "within", c->reached.within, "bakes",
+                                                  (int)c->reached.bakes));
     json_object_set_new(o, "effects", json_string(effects));
     json_object_set_new(o, "effect_plan", json_plan(&r->plan));
     json_object_set_new(o, "slabs", json_integer(y->slab_count));
@@ -352,6 +396,9 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     }
     printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n",
            l.photons, r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
+    if (c->target.error > 0)
+        printf("  error     %.3g +- %.2g %% of %s, asked for %.3g %%; found in %u bakes\n", 100 * c->reached.error.rms,
+               100 * c->reached.error.standard_error, judge_measure_name(c->target.of), 100 * c->target.error, c->reached.bakes);
     print_ledger(&l);
     printf("  efficiency %.4f %% +- %.2g %%\n", 100 * share, 100 * bake_light_error(&r->tally, share * n));
     uint64_t cells = 0;
@@ -396,7 +443,14 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
     }
     lmg_field *field = NULL;
     bake_report report;
-    lmg_result result = bake_run(model, &c->bake, &field, &report, &err);
+    lmg_result result;
+    if (c->target.error > 0) {
+        c->target.progress = c->quiet ? NULL : show_bake;
+        c->target.progress_self = c;
+        result = bake_run_to_error(model, &c->bake, &c->target, &field, &report, &c->reached, &err);
+    } else {
+        result = bake_run(model, &c->bake, &field, &report, &err);
+    }
     if (c->bake.progress && c->terminal)
         fputs("\r\033[K", stderr);
     free(settings);
@@ -413,9 +467,13 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
     struct stat status = {0};
     const uint64_t bytes = stat(c->output, &status) == 0 ? (uint64_t)status.st_size : 0;
     const double seconds = bake_clock() - began;
-    int code = report.interrupted ? EXIT_INTERRUPTED : EXIT_DONE;
+    const bool missed = c->target.error > 0 && !c->reached.within && !report.interrupted;
+    int code = report.interrupted ? EXIT_INTERRUPTED : missed ? EXIT_DIFFERENT : EXIT_DONE;
     if (!c->quiet) {
         print_remarks(&report);
+        if (missed)
+            fprintf(stderr, "warning: the error asked for isn't reached%s\n",
+                    c->bake.fit.cells ? ": --cells fixes how fine the box can be; give more, or leave it out" : "");
         if (report.interrupted)
             fprintf(stderr, "interrupted: the box holds the %" PRIu64 " photons traced so far; --resume goes on from %s\n",
                     report.tally.photons, c->part);

@@ -16,10 +16,10 @@ static const double LARGEST_STEP = 16;
 static const double CLOSE = 0.15;
 /* A floor above this share of the error asked for costs more photons than more cells do. */
 static const double HIGH_FLOOR = 0.75;
-/* Noise of judging, per pixel, in units of the error asked for: 5120 pixels of noise v know an error e to
- * v^2 sqrt(2 / 5120) / (2 e^2) = 9 % at v = 3 e. */
-static const double JUDGING_NOISE = 3;
-static const uint64_t TRIAL = 100000, MOST_JUDGING = 4000000000u;
+/* How well the error asked for is to be known, relative: half of CLOSE is as fine as judging needs to be. */
+static const double JUDGING = 0.08;
+static const double NEAR_THE_MARK = 2;
+static const uint64_t TRIAL = 200000, MOST_JUDGING = 4000000000u;
 
 typedef struct tried {
     double photons, square, weight; /* error^2, 1 / variance of it */
@@ -45,16 +45,25 @@ static void fit(const tried *list, size_t count, double *scale, double *floor2)
     }
 }
 
-/* Photons of the lamp, and rays of each box, that judge finely enough. */
-static lmg_result settle_judging(judge *j, const bake_target *target, uint64_t *rays, lmg_error *err)
+/*
+ * Judges a box; one that comes near the error asked for with as many photons of the lamp, and rays of the box, as it takes to know that
+ * error well enough: the noise v of judging makes the variance of error^2 go as v^4, so the standard error of an error e goes as
+ * 1 / (rays e).  Far off the mark a coarse judgement will do.
+ */
+static lmg_result judge_well(judge *j, const bake_target *target, const lmg_field *field, uint64_t *rays, judge_verdict *verdict,
+                             lmg_error *err)
 {
-    lmg_result result = judge_measure_lamp(j, TRIAL, err);
-    if (result != LMG_OK)
-        return result;
-    const double ratio = judge_noise(j, target->of) / (JUDGING_NOISE * target->error);
-    const double wanted = (double)TRIAL * ratio * ratio;
-    *rays = wanted < (double)TRIAL ? TRIAL : wanted > (double)MOST_JUDGING ? MOST_JUDGING : (uint64_t)wanted;
-    return judge_measure_lamp(j, *rays, err);
+    lmg_result result = *rays > 0 ? LMG_OK : judge_measure_lamp(j, *rays = TRIAL, err);
+    for (int round = 0; result == LMG_OK && round < 4; ++round) {
+        result = judge_box(j, field, *rays, verdict, err);
+        const judge_error e = verdict->error[target->of];
+        const double factor = fabs(e.rms) * e.standard_error / (JUDGING * target->error * target->error);
+        if (result != LMG_OK || e.rms > NEAR_THE_MARK * target->error || !(factor > 1.25) || *rays >= MOST_JUDGING)
+            break;
+        *rays = (double)*rays * factor > (double)MOST_JUDGING ? MOST_JUDGING : (uint64_t)((double)*rays * factor);
+        result = judge_measure_lamp(j, *rays, err);
+    }
+    return result;
 }
 
 /* Keeps the box that is nearer to the error asked for; of two beyond it the better one. */
@@ -81,9 +90,7 @@ lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *
     lmg_result result = judge_create(model, options->seed, options->flux_lm, options->threads, &j, err);
     if (result != LMG_OK)
         return result;
-    uint64_t rays;
-    result = settle_judging(j, target, &rays, err);
-
+    uint64_t rays = 0;
     const bool fixed = options->fit.cells > 0;
     uint64_t cells = fixed ? options->fit.cells : FIRST_CELLS;
     double photons = FIRST_PHOTONS;
@@ -99,7 +106,7 @@ lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *
         if (result != LMG_OK)
             break;
         judge_verdict verdict;
-        result = judge_box(j, field, rays, &verdict, err);
+        result = judge_well(j, target, field, &rays, &verdict, err);
         if (result != LMG_OK) {
             lmg_field_destroy(field);
             break;

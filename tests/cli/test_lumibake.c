@@ -431,6 +431,39 @@ static void test_study(void **state)
     EXPECT(RUN("study", "/no/such/a.gltf"), 3, "a.gltf");
 }
 
+/* A bake to a stated error: what it says it reached is what compare finds, with photons and a seed of its own. */
+static void test_error(void **state)
+{
+    (void)state;
+    outcome o = RUN("bake", lamp, "-o", in_folder("error.box.exr"), "--error", "4%", "--seed", "5", "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = parse_json(o.out), *e = json_object_get(j, "error");
+    const double said = number_at(e, "rms", NULL), se = number_at(e, "standard_error", NULL);
+    assert_true(json_is_true(json_object_get(e, "within")));
+    assert_true(said > 0.02 && said < 0.046); /* at most 15 % above; below it the first bake may be good enough already */
+    json_decref(j);
+    release(&o);
+    o = RUN("compare", in_folder("error.box.exr"), lamp, "--photons", "2e6", "--distances", "0.5,1,2,5,10", "--no-align", "--json");
+    assert_int_equal(o.code, 0);
+    j = parse_json(o.out);
+    json_t *planes = json_object_get(j, "planes");
+    double square = 0, variance = 0;
+    for (size_t i = 0; i < 5; ++i) {
+        json_t *d = json_object_get(json_array_get(planes, i), "difference");
+        const double rms = number_at(d, "rms", NULL), s = number_at(d, "standard_error", NULL);
+        square += rms * fabs(rms) / 5;
+        variance += pow(2 * rms * s / 5, 2);
+    }
+    const double found = sqrt(fmax(square, 0));
+    print_message("error %.4f +- %.4f as baked, %.4f +- %.4f as compared\n", said, se, found, sqrt(variance) / (2 * found));
+    assert_true(fabs(found - said) < 4 * hypot(se, sqrt(variance) / (2 * found)));
+    json_decref(j);
+    release(&o);
+    EXPECT(RUN("bake", lamp, "-o", in_folder("x.box.exr"), "--error", "1%", "--photons", "1e5"), 2, "--error");
+    EXPECT(RUN("bake", lamp, "-o", in_folder("x.box.exr"), "--error", "0.001%"), 2, "0.01");
+    EXPECT(RUN("bake", lamp, "-o", in_folder("x.box.exr"), "--error-of", "colour"), 2, "colour");
+}
+
 /* ------------------------------------------------------------------------------------------------------------ bad input */
 
 static int files_tried, files_baked;
@@ -603,6 +636,7 @@ int main(void)
         cmocka_unit_test(test_bad_tables),
         cmocka_unit_test(test_compare),
         cmocka_unit_test(test_study),
+        cmocka_unit_test(test_error),
         cmocka_unit_test(test_invalid_gltf),
         cmocka_unit_test(test_odd_gltf),
         cmocka_unit_test(test_wrong_kinds),
