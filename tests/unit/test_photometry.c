@@ -188,6 +188,47 @@ static void fluxes_of_closed_forms(void **state)
     lum_photometry_destroy(p);
 }
 
+/* A constant comes back exactly (bumps add up to 1); a smooth lobe ever better with the level; what is asked for is met. */
+static void smooth_reconstruction_on_the_octahedron(void **state)
+{
+    (void)state;
+    lum_photometry *p = sampled(LUM_TYPE_C, LUM_SYMMETRY_QUADRANT, 4, 46, 91);
+    lum_octahedron *o;
+    lmg_error err;
+    double last = 1;
+    for (unsigned l = 0; l <= 4; l++) {
+        assert_int_equal(lum_octahedron_create(p, l, 0, &o, &err), LMG_OK);
+        const lum_octahedron_report r = lum_octahedron_get_report(o);
+        assert_int_equal(r.level, l);
+        assert_true(r.mean_error < last && r.mean_error <= r.rms_error);
+        last = r.mean_error;
+        double worst = 0;
+        for (int i = 0; i < 500; i++) { /* the report says what the look-up does */
+            const lmg_vec3 d = lum_direction_from_c_gamma(77.7 * i, 180 * (i + 0.5) / 500);
+            worst = fmax(worst, fabs(lum_octahedron_intensity(o, d) - lum_photometry_intensity(p, d)));
+        }
+        assert_true(worst < 12 * r.rms_error * 200);
+        lum_octahedron_destroy(o);
+    }
+    assert_true(last < 0.001);
+    assert_int_equal(lum_octahedron_create(p, 6, 0.01, &o, &err), LMG_OK);
+    lum_octahedron_report r = lum_octahedron_get_report(o);
+    /* The stopping rule sees its own 36864 directions, the report others: a tenth apart at most. */
+    assert_true(r.mean_error < 0.011 && r.bytes == 6 * r.coefficients && r.coefficients < 300);
+    lum_octahedron_destroy(o);
+    for (size_t i = 0; i < (size_t)p->h_count * p->v_count; i++)
+        p->intensity[i] = 123;
+    assert_int_equal(lum_octahedron_create(p, 2, 0, &o, &err), LMG_OK);
+    for (int i = 0; i < 100; i++) /* shares are kept as float while fitting */
+        assert_true(fabs(lum_octahedron_intensity(o, lum_direction_from_c_gamma(13.1 * i, 1.8 * i)) - 123) < 123 * 1e-5);
+    lum_octahedron_destroy(o);
+    assert_int_equal(lum_octahedron_create(p, 7, 0, &o, &err), LMG_ERROR_ARGUMENT);
+    assert_null(o);
+    memset(p->intensity, 0, (size_t)p->h_count * p->v_count * sizeof *p->intensity);
+    assert_int_equal(lum_octahedron_create(p, 2, 0, &o, &err), LMG_ERROR_INPUT);
+    lum_photometry_destroy(p);
+}
+
 /* ------------------------------------------------------------------------------------------------------------- dialects */
 
 static void ies_dialects(void **state)
@@ -573,6 +614,7 @@ int main(void)
     const struct CMUnitTest tests[] = {cmocka_unit_test(directions_are_as_documented),
                                        cmocka_unit_test(types_and_symmetries_name_the_same_directions),
                                        cmocka_unit_test(fluxes_of_closed_forms),
+                                       cmocka_unit_test(smooth_reconstruction_on_the_octahedron),
                                        cmocka_unit_test(ies_dialects),
                                        cmocka_unit_test(a_tilt_file_is_read_from_beside),
                                        cmocka_unit_test(luminous_shapes_by_sign),

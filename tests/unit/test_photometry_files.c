@@ -213,10 +213,36 @@ static void what_is_written_reads_back(void **state)
     printf("%d files through four formats\n", count);
 }
 
+/* 1 % mean error in no more coefficients than a plain level 4 has vertices (1026), for files whose features level 4 can hold. */
+static void one_percent_in_the_memory_of_level_four(void **state)
+{
+    (void)state;
+    static const char *const names[] = {"ies/rab_1.IES",       "ies/rab_2.IES",      "ies/rab_5.IES",
+                                        "ies/rp_overhead.ies", "ldt/vb_sample2.ldt", "ldt/vb_sample4.ldt"};
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+        char path[2048];
+        lum_photometry *p;
+        lum_octahedron *o;
+        lmg_error err;
+        snprintf(path, sizeof path, "%s/%s", LUMIBOX_SHARED_DATA, names[i]);
+        if (lum_photometry_read(path, &p, &err) != LMG_OK) {
+            printf("skipped: %s\n", path);
+            skip();
+        }
+        assert_int_equal(lum_octahedron_create(p, 6, 0.01, &o, &err), LMG_OK);
+        const lum_octahedron_report r = lum_octahedron_get_report(o);
+        printf("%-22s %u coefficients up to level %u, %zu bytes: mean error %.2f %%\n", names[i], r.coefficients, r.level, r.bytes,
+               100 * r.mean_error);
+        assert_true(r.mean_error <= 0.01 && r.coefficients <= 1026);
+        lum_octahedron_destroy(o);
+        lum_photometry_destroy(p);
+    }
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(every_real_file_reads_or_says_why),
-                                       cmocka_unit_test(flux_agrees_with_published_lumens),
-                                       cmocka_unit_test(what_is_written_reads_back)};
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(every_real_file_reads_or_says_why), cmocka_unit_test(flux_agrees_with_published_lumens),
+        cmocka_unit_test(what_is_written_reads_back), cmocka_unit_test(one_percent_in_the_memory_of_level_four)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

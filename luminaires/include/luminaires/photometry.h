@@ -221,6 +221,28 @@ lmg_vec3 lum_profile_direction(const lum_profile *profile, double (*next)(void *
  * on the origin, xi in [0,1). */
 lmg_vec3 lum_shape_point(const lum_shape *shape, lmg_vec3 direction, const double xi[3]);
 
+/* --------------------------------------------------------------------------------------------------- smooth reconstruction */
+
+/* An intensity as a sum of smooth bumps on the vertices of a recursively divided octahedron. */
+typedef struct lum_octahedron lum_octahedron;
+
+/*
+ * Level by level, the part of the intensity that the levels so far don't give is smoothed with a kernel of the level's width (a
+ * singular integral [freeden1998]) at the level's vertices; vertices whose value matters are kept, others dropped.  Stops at max_level (0..6)
+ * or when the mean error is below threshold (relative to the mean intensity, e.g. 0.01).
+ */
+lmg_result lum_octahedron_create(const lum_photometry *p, unsigned max_level, double threshold, lum_octahedron **out, lmg_error *err);
+void lum_octahedron_destroy(lum_octahedron *o);
+double lum_octahedron_intensity(const lum_octahedron *o, lmg_vec3 direction); /* cd, never negative */
+typedef struct lum_octahedron_report {
+    unsigned level;        /* finest level used */
+    uint32_t coefficients; /* kept, all levels */
+    size_t bytes;          /* of the coefficients as they are stored */
+    double mean_error;     /* mean over the sphere of |smooth - interpolated| / mean intensity */
+    double rms_error;      /* the same, RMS */
+} lum_octahedron_report;
+lum_octahedron_report lum_octahedron_get_report(const lum_octahedron *o);
+
 #ifdef __cplusplus
 }
 #endif
