@@ -1,6 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* lumibake info: what a box says about itself. */
+/* lumibake info: what a box or a photometric file says about itself. */
 #include "program.h"
+
+#include "info_photometry.h"
+
+#include <luminaires/photometry.h>
 
 #include <errno.h>
 #include <inttypes.h>
@@ -17,7 +21,8 @@ static const struct argp_option OPTIONS[] = {
 };
 
 static const char DOC[] =
-    "Says what is in a box of light: layout, planes, size, where the light went (with standard errors), effects, provenance."
+    "Says what is in a box of light: layout, planes, size, where the light went (with standard errors), effects, provenance. Of a photometric "
+    "file (.ies, .ldt, .xml): its grid, shape, flux, zones and beam."
     "\vExample:\n  lumibake info lamp.box.exr";
 
 typedef struct command {
@@ -176,12 +181,24 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
 
 int cmd_info(int argc, char **argv)
 {
-    static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "BOX", .doc = DOC};
+    static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "FILE", .doc = DOC};
     command c = {0};
     argp_parse(&ARGP, argc, argv, 0, NULL, &c);
 
     lmg_error err = {{0}};
     lmg_field *field;
+    if (lum_photometry_is_readable_name(c.box)) {
+        json_t *object;
+        const lmg_result read = info_photometry(c.box, c.json, &object, &err);
+        if (read != LMG_OK)
+            return report_error(read, &err);
+        const bool done = c.json ? print_json(object) : fflush(stdout) == 0 && !ferror(stdout);
+        if (!done) {
+            lmg_fail(&err, LMG_ERROR_FILE_WRITE, "can't print: %s", strerror(errno));
+            return report_failure(&err);
+        }
+        return EXIT_DONE;
+    }
     const lmg_result result = lmg_field_read(c.box, &field, &err);
     if (result != LMG_OK)
         return report_error(result, &err);
