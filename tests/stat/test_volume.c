@@ -29,6 +29,15 @@ enum { SPARE = 20 };
 enum { SPARE = 1 };
 #endif
 
+#if defined(__SANITIZE_ADDRESS__)
+/* OpenVDB 10 loses the tree node at hand when a read throws; of files cut short that is what we want it to do. */
+__attribute__((visibility("default"))) const char *__lsan_default_suppressions(void);
+const char *__lsan_default_suppressions(void)
+{
+    return "leak:readTopology\nleak:readBuffers\n";
+}
+#endif
+
 /* A lattice of chance, not at the origin and not a multiple of a brick. */
 enum { NX = 21, NY = 13, NZ = 17 };
 static const int32_t LOW[3] = {-11, 5, -3};
