@@ -32,7 +32,7 @@ static double directional_illuminance(const lum_model *model)
     return sum;
 }
 
-/* Geometry whose light is scattered on its way isn't rendered; its baked box is. */
+/* Geometry whose light is scattered on its way or changes its wavelength isn't rendered; its baked box is. */
 static lmg_result refuse_media(const lum_model *model, lmg_error *err)
 {
     if (model->volume_count > 0) {
@@ -46,6 +46,11 @@ static lmg_result refuse_media(const lum_model *model, lmg_error *err)
             return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
                             "%s: material \"%.60s\" is filled with a scattering medium, which this renderer doesn't show; bake the lamp "
                             "and use its box",
+                            model->path, m->name);
+        }
+        if (m->spectral.converted) {
+            return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
+                            "%s: material \"%.60s\" is a phosphor, whose light this renderer doesn't show; bake the lamp and use its box",
                             model->path, m->name);
         }
     }

@@ -137,6 +137,62 @@ static void prism_in_the_box(void **state)
     lum_model_destroy(m);
 }
 
+/* From a recipe's spectrum to the colour of a box: x, y, temperature and duv of the light straight below the spot, of which the mirror is
+ * grey.  Without and with a surface that makes the light be followed by wavelength (also grey). */
+static void colour_through_the_chain(void **state)
+{
+    (void)state;
+    static const char *const names[] = {"A", "D50", "D65"};
+    for (int i = 0; i < 6; ++i) {
+        lum_recipe *recipe;
+        lum_model *m;
+        lmg_field *field;
+        bake_report report;
+        lmg_error err = {{0}};
+        char path[512], emitter[64];
+        snprintf(path, sizeof(path), "%s/models/paraboloid-spot/paraboloid-spot.gltf", LUMIBOX_BINARY_DIR);
+        snprintf(emitter, sizeof(emitter), "emitter:Source=800lm,%s", names[i % 3]);
+        if (lum_recipe_create(&recipe, &err) || lum_recipe_add(recipe, emitter, &err) ||
+            lum_recipe_add(recipe, i < 3 ? "mirror:Mirror=0.9" : "conductor:Mirror=silver", &err) ||
+            lum_model_load(path, recipe, &m, &err))
+            fail_msg("%s", err.message);
+        lum_recipe_destroy(recipe);
+        for (uint32_t k = 0; k < m->material_count && i >= 3; ++k) { /* a metal that is followed by wavelength, yet grey */
+            lum_spectral *s = &m->materials[k].spectral;
+            for (int nm = 0; nm < LUM_SPECTRUM_COUNT && s->eta; ++nm)
+                for (uint32_t n = 0; n < m->spectrum_count; ++n)
+                    m->spectra[n]->value[nm] = m->spectra[n] == s->eta ? 0.1f : m->spectra[n] == s->k ? 3.5f : m->spectra[n]->value[nm];
+            for (int c = 0; c < 3; ++c) {
+                m->materials[k].eta[c] = 0.1f;
+                m->materials[k].k[c] = 3.5f;
+            }
+        }
+        const bake_options options = {.photons = 300000, .seed = 3, .threads = 1, .fit = {.struct_size = sizeof(lmg_fit_options)}};
+        if (bake_run(m, &options, &field, &report, &err))
+            fail_msg("%s", err.message);
+        double rgb[3], sum[3] = {0}, xyz[3], want[3], got_xy[2], want_xy[2], a[2], b[2], kelvin[2], duv[2];
+        for (int k = 0; k < 81; ++k) { /* directions within the beam */
+            const double x = 0.01 * (k % 9 - 4), z = 0.01 * (k / 9 - 4), y = -sqrt(1 - x * x - z * z);
+            assert_int_equal(lmg_field_intensity(field, (lmg_vec3){x, y, z}, rgb, NULL, &err), LMG_OK);
+            for (int c = 0; c < 3; ++c)
+                sum[c] += rgb[c];
+        }
+        lum_spectrum s;
+        assert_true(lum_spectrum_illuminant(names[i % 3], &s));
+        lum_spectrum_xyz(&s, want);
+        lum_rgb_to_xyz(sum, xyz);
+        lum_chromaticity(xyz, got_xy, a);
+        lum_chromaticity(want, want_xy, b);
+        assert_true(lum_cct(xyz, &kelvin[0], &duv[0]) && lum_cct(want, &kelvin[1], &duv[1]));
+        print_message("%s %s: x %.5f y %.5f, %.0f K, duv %.5f; of the spectrum x %.5f y %.5f, %.0f K, duv %.5f\n", names[i % 3],
+                      i < 3 ? "in R,G,B" : "by wavelength", got_xy[0], got_xy[1], kelvin[0], duv[0], want_xy[0], want_xy[1], kelvin[1], duv[1]);
+        assert_true(hypot(a[0] - b[0], (a[1] - b[1]) * 2 / 3) < 1e-3);
+        assert_true(fabs(duv[0] - duv[1]) < 1e-3);
+        lmg_field_destroy(field);
+        lum_model_destroy(m);
+    }
+}
+
 /* Light that leaves the phosphor LED is chip light and phosphor light: their shares follow from Y and Z, and with them the power. */
 static void phosphor_power(void **state)
 {
@@ -183,6 +239,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(prism_by_wavelength),
         cmocka_unit_test(prism_in_the_box),
+        cmocka_unit_test(colour_through_the_chain),
         cmocka_unit_test(phosphor_power),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
