@@ -160,23 +160,10 @@ lmg_result lum_ray_text_rows(const lum_rayfile *file, uint64_t first, size_t cou
     return LMG_OK;
 }
 
-static void set_columns(lum_rayfile *file, bool positions, bool photometric, bool wavelength)
-{
-    ray_columns *c = &file->columns;
-    c->position = positions ? 0 : -1;
-    c->direction = positions ? 3 : 0;
-    int at = c->direction + 3;
-    *(photometric ? &c->luminous : &c->radiant) = at++;
-    if (wavelength)
-        c->wavelength = at++;
-    c->count = (uint32_t)at;
-}
-
 enum { LINES_BUFFER = 1 << 18 };
 
 lmg_result lum_ray_open_zemax_text(lum_rayfile *file, lmg_error *err)
 {
-    static const double METRES[5] = {1, 0.0254, 0.01, 0.3048, 0.001};
     line_reader r = {.file = file, .buffer = malloc(LINES_BUFFER), .size = LINES_BUFFER};
     if (!r.buffer)
         return lmg_fail(err, LMG_ERROR_MEMORY, "%s: no memory for its lines", file->name);
@@ -194,9 +181,9 @@ lmg_result lum_ray_open_zemax_text(lum_rayfile *file, lmg_error *err)
         result = lmg_fail(err, LMG_ERROR_FILE_FORMAT,
                           "%s: its first line isn't that of a Zemax source file (number of rays, unit of length 0 to 4, zeros)", file->name);
     if (result == LMG_OK) {
-        file->metres = METRES[(int)units];
+        file->metres = RAY_ZEMAX_METRES[(int)units];
         file->nanometres = 1000;
-        set_columns(file, true, false, n == 8);
+        lum_ray_set_columns(file, true, false, n == 8);
         result = build_index(file, &r, NULL, &lines, &stopped, err);
     }
     if (result == LMG_OK && (double)lines < count)
@@ -291,7 +278,7 @@ lmg_result lum_ray_open_lighttools_text(lum_rayfile *file, lmg_error *err)
         file->metres = h.metres;
         memcpy(file->origin, h.origin, sizeof(h.origin));
         *(h.photometric ? &file->info.luminous_lm : &file->info.radiant_W) = h.flux > 0 && isfinite(h.flux) ? h.flux : (double)NAN;
-        set_columns(file, !h.far, h.photometric, h.wavelength);
+        lum_ray_set_columns(file, !h.far, h.photometric, h.wavelength);
         if (h.far)
             lum_ray_remark(file, "far field only: all rays start at the origin");
         result = build_index(file, &r, "lt_endofdata", &file->info.rays, &stopped, err);

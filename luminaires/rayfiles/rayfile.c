@@ -126,6 +126,18 @@ lmg_result lum_ray_fetch(const lum_rayfile *file, uint64_t offset, size_t count,
     return LMG_OK;
 }
 
+void lum_ray_set_columns(lum_rayfile *file, bool positions, bool photometric, bool wavelength)
+{
+    ray_columns *c = &file->columns;
+    c->position = positions ? 0 : -1;
+    c->direction = positions ? 3 : 0;
+    int at = c->direction + 3;
+    *(photometric ? &c->luminous : &c->radiant) = at++;
+    if (wavelength)
+        c->wavelength = at++;
+    c->count = (uint32_t)at;
+}
+
 void lum_ray_remark(lum_rayfile *file, const char *format, ...)
 {
     if (file->remark_count == RAY_MAX_REMARKS)

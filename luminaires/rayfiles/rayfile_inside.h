@@ -82,6 +82,12 @@ lmg_result lum_ray_text_rows(const lum_rayfile *file, uint64_t first, size_t cou
 /* Whether n records at `start` could be rays: unit directions to a hundredth, finite positions. */
 bool lum_ray_plausible(const lum_rayfile *file, uint64_t start, uint64_t first, size_t n);
 
+/* Columns of Zemax and LightTools rays: position (if there), direction, flux, wavelength (if there). */
+void lum_ray_set_columns(lum_rayfile *file, bool positions, bool photometric, bool wavelength);
+
+/* Zemax's units of length 0 to 4: m, inch, cm, foot, mm. */
+static const double RAY_ZEMAX_METRES[5] = {1, 0.0254, 0.01, 0.3048, 0.001};
+
 /* A watt of one wavelength: its lumens and colour (of the nearest visible wavelength where the eye sees nothing). */
 void lum_ray_monochrome(double nm, ray_spectrum *out);
 

@@ -7,18 +7,6 @@
 
 enum { PROBE = 64 };
 
-static void seven_columns(lum_rayfile *file, int position, bool photometric, bool wavelength)
-{
-    ray_columns *c = &file->columns;
-    c->position = position;
-    c->direction = position < 0 ? 0 : 3;
-    int at = c->direction + 3;
-    *(photometric ? &c->luminous : &c->radiant) = at++;
-    if (wavelength)
-        c->wavelength = at++;
-    c->count = (uint32_t)at;
-}
-
 static double known(float value)
 {
     return lum_ray_unknown(value) || !(value > 0) || isinf(value) ? (double)NAN : (double)value;
@@ -41,7 +29,6 @@ enum { ZEMAX_HEADER = 208 };
 
 lmg_result lum_ray_open_zemax(lum_rayfile *file, lmg_error *err)
 {
-    static const double METRES[5] = {1, 0.0254, 0.01, 0.3048, 0.001};
     uint8_t buffer[ZEMAX_HEADER];
     const uint8_t *h;
     lmg_result result = lum_ray_fetch(file, 0, ZEMAX_HEADER, buffer, &h, err);
@@ -56,10 +43,10 @@ lmg_result lum_ray_open_zemax(lum_rayfile *file, lmg_error *err)
                         info->rays, units, format, flux);
     if (format == 2 && flux == 1)
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: wavelengths with luminous flux, which Zemax files can't have", file->name);
-    file->metres = METRES[units];
+    file->metres = RAY_ZEMAX_METRES[units];
     file->nanometres = 1000;
     *(flux == 1 ? &info->luminous_lm : &info->radiant_W) = known(ray_f32(h + 112));
-    seven_columns(file, 0, flux == 1, format == 2);
+    lum_ray_set_columns(file, true, flux == 1, format == 2);
     file->start = ZEMAX_HEADER;
     const uint64_t record = 4 * (uint64_t)file->columns.count, room = (file->size - ZEMAX_HEADER) / record;
     if (info->rays > room)
@@ -109,7 +96,7 @@ lmg_result lum_ray_open_lighttools(lum_rayfile *file, lmg_error *err)
     }
     lum_ray_info *info = &file->info;
     *(type == 1 ? &info->luminous_lm : &info->radiant_W) = known(ray_f32(h + 40));
-    seven_columns(file, far ? -1 : 0, type == 1, colour == 2);
+    lum_ray_set_columns(file, !far, type == 1, colour == 2);
     if (far)
         lum_ray_remark(file, "far field only: all rays start at the origin");
     file->start = LIGHTTOOLS_HEADER;
