@@ -74,6 +74,7 @@ static void add_image(lum_model *m)
     memcpy(texels, TEXELS, sizeof(TEXELS));
     m->images[0] = (lum_image){2, 1, texels};
     m->image_count = 1;
+    free(m->uv[0]);
     m->uv[0] = calloc(2 * (size_t)m->vertex_count, sizeof(float));
     assert_non_null(m->uv[0]);
     for (uint32_t i = 0; i < m->vertex_count; ++i) {
