@@ -187,6 +187,39 @@ static uint32_t gold(lum_model *model)
     return m;
 }
 
+static uint32_t layered(lum_model *model, uint32_t layers, float metallic)
+{
+    uint32_t m = paint(model);
+    lum_layers *l = &model->materials[m].layers;
+    model->materials[m].metallic = metallic;
+    l->present = layers;
+    l->clearcoat = 1;
+    l->clearcoat_roughness = 0.1f;
+    l->sheen_roughness = 0.5f;
+    l->sheen_color[0] = l->sheen_color[1] = l->sheen_color[2] = 0.5f;
+    l->anisotropy = 0.5f;
+    l->iridescence = 1;
+    l->iridescence_ior = 1.3f;
+    l->thickness_max = 400;
+    return m;
+}
+static uint32_t coated(lum_model *model)
+{
+    return layered(model, LUM_LAYER_CLEARCOAT, 0);
+}
+static uint32_t cloth(lum_model *model)
+{
+    return layered(model, LUM_LAYER_SHEEN, 0);
+}
+static uint32_t brushed(lum_model *model)
+{
+    return layered(model, LUM_LAYER_ANISOTROPY, 1);
+}
+static uint32_t film(lum_model *model)
+{
+    return layered(model, LUM_LAYER_IRIDESCENCE, 1);
+}
+
 int main(void)
 {
     run("Lambert", lambert);
@@ -197,5 +230,9 @@ int main(void)
     run("rough metal", rough_metal);
     run("frosted glass", frosted);
     run("paint (PBR, roughness 0.5)", paint);
+    run("clear-coated paint", coated);
+    run("cloth (sheen)", cloth);
+    run("brushed metal", brushed);
+    run("film on metal", film);
     return sink == 0.12345;
 }

@@ -358,12 +358,80 @@ static void brushing_spreads_along(void **state)
     free_model(model);
 }
 
+/* Khronos' models with layers: what they are about is understood. */
+static void real_models(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *path;
+        uint32_t layers;
+    } models[] = {{"luminaires/AnisotropyBarnLamp/AnisotropyBarnLamp.gltf", LUM_LAYER_ANISOTROPY | LUM_LAYER_CLEARCOAT},
+                  {"luminaires/StainedGlassLamp/StainedGlassLamp.gltf", LUM_LAYER_CLEARCOAT},
+                  {"gltf-materials/ClearCoatTest/ClearCoatTest.glb", LUM_LAYER_CLEARCOAT},
+                  {"gltf-materials/SpecularTest/SpecularTest.glb", LUM_LAYER_SPECULAR}};
+    for (size_t i = 0; i < sizeof models / sizeof *models; i++) {
+        char path[1024];
+        snprintf(path, sizeof path, "%s/%s", LUMIBOX_SHARED_DATA, models[i].path);
+        FILE *file = fopen(path, "rb");
+        if (!file) {
+            print_message("skipped: %s isn't there\n", models[i].path);
+            continue;
+        }
+        fclose(file);
+        lum_model *model;
+        lum_scene *scene;
+        lmg_error err;
+        if (lum_model_load(path, NULL, &model, &err) != LMG_OK || lum_scene_create(model, &scene, &err) != LMG_OK) {
+            fail_msg("%s", err.message);
+        }
+        uint32_t present = 0;
+        for (uint32_t k = 0; k < model->material_count; k++) {
+            present |= model->materials[k].layers.present;
+        }
+        assert_int_equal(present, models[i].layers);
+        for (uint32_t k = 0; k < model->warning_count; k++) {
+            assert_null(strstr(model->warnings[k], "KHR_materials_"));
+        }
+        /* Rays from outside: what they meet reflects at most what arrives. */
+        lum_rng rng = lum_rng_stream(4, i);
+        lmg_vec3 low = model->bounds_min, high = model->bounds_max;
+        int met = 0;
+        for (int ray = 0; ray < 3000; ray++) {
+            double size = high.x - low.x + high.y - low.y + high.z - low.z;
+            lmg_vec3 target = v3(low.x + (high.x - low.x) * lum_rng_next(&rng), low.y + (high.y - low.y) * lum_rng_next(&rng),
+                                 low.z + (high.z - low.z) * lum_rng_next(&rng));
+            double z = 2 * lum_rng_next(&rng) - 1, phi = 2 * PI * lum_rng_next(&rng), r = sqrt(1 - z * z);
+            lmg_vec3 d = v3(r * cos(phi), r * sin(phi), z),
+                     o = v3(target.x - size * d.x, target.y - size * d.y, target.z - size * d.z);
+            lum_hit hit;
+            if (!lum_scene_intersect(scene, o, d, &hit)) {
+                continue;
+            }
+            lum_surface s;
+            lum_scattered out;
+            lum_surface_at(scene, &hit, d, &s);
+            double xi[4] = {lum_rng_next(&rng), lum_rng_next(&rng), lum_rng_next(&rng), lum_rng_next(&rng)};
+            lum_scatter_sample(&s, v3(-d.x, -d.y, -d.z), 1, xi, &out);
+            assert_true(out.event == LUM_ABSORBED || fabs(dot(out.wo, out.wo) - 1) < 1e-6);
+            assert_true(out.pdf >= 0 && out.pdf < (double)INFINITY);
+            for (int c = 0; c < 3; c++) {
+                assert_true(out.weight[c] >= 0 && out.weight[c] <= 1);
+            }
+            met++;
+        }
+        print_message("%s: %d hits\n", models[i].path, met);
+        assert_true(met > 100);
+        lum_scene_destroy(scene);
+        lum_model_destroy(model);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(films_are_exact),          cmocka_unit_test(sheen_is_bounded), cmocka_unit_test(nothing_changes_nothing),
         cmocka_unit_test(brushing_spreads_along),   cmocka_unit_test(reciprocity),      cmocka_unit_test(white_furnace),
-        cmocka_unit_test(samples_follow_densities),
+        cmocka_unit_test(samples_follow_densities), cmocka_unit_test(real_models),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
