@@ -16,7 +16,7 @@
  * the form that uncoated surfaces have (microfacet.h).  Sampling doesn't need E: light enters where a facet lets it enter, and
  * leaves where a facet, the coat and the sheen let it out.
  *
- * Layers act on unpolarized light.  Single bounces on stretched facets, and on clear dielectrics with a changed reflectance, lose
+ * Layers act on unpolarized light.  Single bounces on stretched facets, and at boundaries of solids with a changed reflectance, lose
  * the light that meets a second facet (it counts as absorbed); all others keep it as scatter_parts.h says.  The dielectric's own
  * reflection over a diffuse base isn't stretched.
  */
@@ -165,6 +165,13 @@ static void shares_of_largest(const float r[3], double top, float weight[3])
 static bool changes_reflectance(const lum_surface *s)
 {
     return (s->layers_present & (LUM_LAYER_SPECULAR | LUM_LAYER_IRIDESCENCE)) != 0;
+}
+
+/* Whether light that one bounce on clear facets loses is known, to go where scatter_parts.h says.  A thin wall reflects what it
+ * transmits too, so facets keep the same share of either; at the boundary of a solid the shares depend on the reflectance. */
+static bool knows_losses(const lum_surface *s)
+{
+    return s->material->thin || !changes_reflectance(s);
 }
 
 static bool is_stretched(const lum_surface *s)
@@ -370,7 +377,7 @@ static void sample_layered_clear(const lum_surface *s, const side *at, lmg_vec3 
         kept = !rough || v < facets_keep_refracted(&g, facets_to_local(&g, wo));
     }
     if (!kept) {
-        if (changes_reflectance(s)) {
+        if (!knows_losses(s)) {
             absorb(at, out);
             return;
         }
@@ -676,7 +683,7 @@ void lum_add_layers(const lum_surface *s, const side *at, lmg_vec3 wi, lmg_vec3 
         }
         add_attenuated(sum, t.passed * share[0] * rest * rest_density(set, alpha, mu), r, t.attenuation);
     }
-    if (share[1] > 0 && s->alpha >= LUM_SMOOTH && !changes_reflectance(s)) {
+    if (share[1] > 0 && s->alpha >= LUM_SMOOTH && knows_losses(s)) {
         density repeated_light = {0};
         lum_add_repeated(s, at, medium_of(s->tables, eta_outside), t.across, mu, above, share[1], &repeated_light);
         for (int k = 0; k < 3; k++) {
