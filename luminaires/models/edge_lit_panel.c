@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * The edge-lit panel: a plate of acrylic that guides the light of two LED strips by total internal reflection, until it meets one of
- * the grooves in its upper face and is turned down; see dimensions.h.
+ * The edge-lit panel: a plate of acrylic that guides the light of two LED strips by total internal reflection, until it meets one
+ * of the grooves in its upper face and is turned down; see dimensions.h.
  */
 #include "dimensions.h"
 #include "gltf_writer.h"
@@ -80,11 +80,15 @@ void make_edge_lit_panel(const char *folder)
     mesh_free(&m);
 
     /* LED strips, as high as the plate, a little off its edges and facing them. */
-    const double gap = PANEL_LED_GAP, corner[2][3] = {{-x, 0, -half - gap}, {-x, 0, half + gap}}, along[3] = {2 * x, 0, 0}, up[3] = {0, t, 0};
+    const double gap = PANEL_LED_GAP, corner[2][3] = {{-x, 0, -half - gap}, {-x, 0, half + gap}}, along[3] = {2 * x, 0, 0},
+                 up[3] = {0, t, 0};
     mesh_add_rectangle(&m, corner[0], along, up);
     mesh_add_rectangle(&m, corner[1], up, along);
-    const gltf_material led = {
-        .name = "LED", .color = {0.7, 0.7, 0.7}, .roughness = 1, .emission_color = {1, 1, 1}, .luminance = PANEL_FLUX / (PI * mesh_area(&m))};
+    const gltf_material led = {.name = "LED",
+                               .color = {0.7, 0.7, 0.7},
+                               .roughness = 1,
+                               .emission_color = {1, 1, 1},
+                               .luminance = PANEL_FLUX / (PI * mesh_area(&m))};
     gltf_add(file, "LED strips", &m, &led);
     mesh_free(&m);
 
@@ -97,7 +101,8 @@ void make_edge_lit_panel(const char *folder)
     mesh_add_rectangle(&m, c01, ey, ex);
     mesh_add_rectangle(&m, c00, ey, ez);
     mesh_add_rectangle(&m, c10, ez, ey);
-    const gltf_material white = {.name = "White tray", .color = {PANEL_TRAY, PANEL_TRAY, PANEL_TRAY}, .roughness = 1, .double_sided = true};
+    const gltf_material white = {
+        .name = "White tray", .color = {PANEL_TRAY, PANEL_TRAY, PANEL_TRAY}, .roughness = 1, .double_sided = true};
     gltf_add(file, "Tray", &m, &white);
     mesh_free(&m);
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The opal ball: a bulb in the middle of a thick shell of opal glass, all concentric; see dimensions.h.  The recipe fills the glass. */
+/* The opal ball: a bulb in the middle of a thick shell of opal glass, all concentric; see dimensions.h.  The recipe fills the
+ * glass. */
 #include "dimensions.h"
 #include "gltf_writer.h"
 #include "models.h"

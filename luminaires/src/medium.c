@@ -11,16 +11,16 @@ double lum_phase_pdf(double g, double cosine)
 }
 
 /*
- * Inversion.  With s = 2 xi - 1 the usual cosine (1 + g^2 - ((1 - g^2) / (1 + g s))^2) / 2g divides by zero at g = 0 and cancels near
- * the peak.  Its complements factor without remainder:
- *     1 - cosine = A / (1 + g s)^2,  A = (1 - g)^2 (1 - s) (1 + g (1 + s) / 2)
- *     1 + cosine = B / (1 + g s)^2,  B = (1 + g)^2 (1 + s) (1 - g (1 - s) / 2),   A + B = 2 (1 + g s)^2
- * and A and B are sums and products of positive terms, so that sine and cosine are exact to rounding for the narrowest peaks.
+ * Inversion.  With s = 2 xi - 1 the usual cosine (1 + g^2 - ((1 - g^2) / (1 + g s))^2) / 2g divides by zero at g = 0 and cancels
+ * near the peak.  Its complements factor without remainder: 1 - cosine = A / (1 + g s)^2,  A = (1 - g)^2 (1 - s) (1 + g (1 + s) /
+ * 2) 1 + cosine = B / (1 + g s)^2,  B = (1 + g)^2 (1 + s) (1 - g (1 - s) / 2),   A + B = 2 (1 + g s)^2 and A and B are sums and
+ * products of positive terms, so that sine and cosine are exact to rounding for the narrowest peaks.
  */
 lmg_vec3 lum_phase_sample(double g, lmg_vec3 d, const double xi[2])
 {
     const double s = 2 * xi[0] - 1;
-    const double a = (1 - g) * (1 - g) * (1 - s) * (1 + 0.5 * g * (1 + s)), b = (1 + g) * (1 + g) * (1 + s) * (1 - 0.5 * g * (1 - s));
+    const double a = (1 - g) * (1 - g) * (1 - s) * (1 + 0.5 * g * (1 + s)),
+                 b = (1 + g) * (1 + g) * (1 + s) * (1 - 0.5 * g * (1 - s));
     const double scale = 1 / (a + b), sine = 2 * sqrt(a * b) * scale, cosine = (b - a) * scale;
     double turn_sine, turn_cosine;
     sincos_turns(xi[1], &turn_sine, &turn_cosine);
@@ -97,10 +97,8 @@ static void arrive_coloured(const lum_medium *m, const double share[3], lum_rng 
 void lum_medium_arrive(const lum_medium *m, double drawn, double t_max, const double share[3], lum_rng *rng, lum_flight *out)
 {
     const bool passed = drawn >= t_max;
-    *out = (lum_flight){.event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED,
-                        .t = passed ? t_max : drawn,
-                        .factor = {1, 1, 1},
-                        .g = m->g};
+    *out = (lum_flight){
+        .event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED, .t = passed ? t_max : drawn, .factor = {1, 1, 1}, .g = m->g};
     if (!m->grey)
         arrive_coloured(m, share, rng, out);
     else if (!passed && m->scattering[0] < m->extinction[0] && lum_rng_next(rng) * m->extinction[0] >= m->scattering[0])

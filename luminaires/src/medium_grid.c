@@ -55,7 +55,8 @@ lmg_result lum_grid_begin(const int32_t low[3], const int32_t high[3], lum_inter
         b->base[a] = floor_brick((int64_t)low[a] - (interpolation == LUM_INTERPOLATION_LINEAR));
         const int64_t bricks = (int64_t)floor_brick(high[a]) - b->base[a] + 1;
         if (!result && (bricks > (int64_t)MAX_TABLE || (count *= (uint64_t)bricks) > MAX_TABLE))
-            result = lmg_fail(err, LMG_ERROR_INPUT, "the grid spans more than 2^27 bricks of 8^3 voxels; resample it more coarsely");
+            result =
+                lmg_fail(err, LMG_ERROR_INPUT, "the grid spans more than 2^27 bricks of 8^3 voxels; resample it more coarsely");
         b->bricks[a] = (int32_t)bricks;
     }
     if (!result) {
@@ -317,8 +318,8 @@ static double fill_blocks(const lum_grid *g, int32_t group, const int32_t blocks
     for (k[0] = 0; k[0] < g->bricks[0]; ++k[0])
         for (k[1] = 0; k[1] < g->bricks[1]; ++k[1])
             for (k[2] = 0; k[2] < g->bricks[2]; ++k[2]) {
-                const size_t block =
-                    ((size_t)(k[0] / group) * (size_t)blocks[1] + (size_t)(k[1] / group)) * (size_t)blocks[2] + (size_t)(k[2] / group);
+                const size_t block = ((size_t)(k[0] / group) * (size_t)blocks[1] + (size_t)(k[1] / group)) * (size_t)blocks[2] +
+                                     (size_t)(k[2] / group);
                 const float here = g->table[lum_brick_index(g, k)].most;
                 most[block] = here > most[block] ? here : most[block];
             }
@@ -333,8 +334,8 @@ static void count_blocks(const lum_grid *g, int32_t group, int32_t blocks[3])
         blocks[a] = (g->bricks[a] + group - 1) / group;
 }
 
-/* Chooses the size of blocks that costs least.  Where single cells are worth walking, bricks stay: what is dense there is found soon
- * enough. */
+/* Chooses the size of blocks that costs least.  Where single cells are worth walking, bricks stay: what is dense there is found
+ * soon enough. */
 static lmg_result make_blocks(lum_grid *g, double voxel_depth, lmg_error *err)
 {
     const size_t count = (size_t)g->bricks[0] * (size_t)g->bricks[1] * (size_t)g->bricks[2];
@@ -440,9 +441,10 @@ lmg_result lum_grid_create(const int32_t low[3], const uint32_t size[3], const f
                     origin[a] = (k[a] + b->base[a]) * LUM_GRID_BRICK;
                 for (int i = 0; i < LUM_CELLS; ++i) {
                     const int32_t voxel[3] = {origin[0] + i / 64, origin[1] + i / 8 % 8, origin[2] + i % 8};
-                    block[i] = within(b, voxel) ? values[((size_t)(voxel[0] - low[0]) * size[1] + (size_t)(voxel[1] - low[1])) * size[2] +
-                                                         (size_t)(voxel[2] - low[2])]
-                                                : 0;
+                    block[i] = within(b, voxel)
+                                   ? values[((size_t)(voxel[0] - low[0]) * size[1] + (size_t)(voxel[1] - low[1])) * size[2] +
+                                            (size_t)(voxel[2] - low[2])]
+                                   : 0;
                 }
                 const lmg_result result = lum_grid_put(b, origin, block, err);
                 if (result) {

@@ -4,8 +4,8 @@
  *
  * Cells and bricks.  A cell is a cube of side 1 in which density is one trilinear polynomial: between voxels i and i+1 (linear), or
  * around voxel i (nearest).  *Cell coordinates* are index coordinates, plus 1/2 for nearest, so that cell i is [i, i+1).  A brick
- * is 8^3 cells; *brick coordinates* are (cell coordinates) / 8 - base, so that brick b of the table is [b, b+1).  Where the medium is
- * so thin that light seldom collides within a brick, flights walk over blocks of group^3 bricks instead.
+ * is 8^3 cells; *brick coordinates* are (cell coordinates) / 8 - base, so that brick b of the table is [b, b+1).  Where the medium
+ * is so thin that light seldom collides within a brick, flights walk over blocks of group^3 bricks instead.
  */
 #ifndef LUMINAIRES_MEDIUM_GRID_H
 #define LUMINAIRES_MEDIUM_GRID_H
@@ -25,14 +25,14 @@ typedef struct lum_brick {
 
 struct lum_grid {
     lum_interpolation interpolation;
-    int32_t base[3];                     /* of the table, in bricks */
-    int32_t bricks[3];                   /* size of the table */
-    lum_brick *table;                    /* third index fastest */
-    int32_t group;                       /* bricks along the edge of a block: 1, 2, 4, ... */
-    int32_t blocks[3];                   /* size of the table of blocks */
-    float *block_most;                   /* largest density in each block; NULL when group is 1 */
+    int32_t base[3];   /* of the table, in bricks */
+    int32_t bricks[3]; /* size of the table */
+    lum_brick *table;  /* third index fastest */
+    int32_t group;     /* bricks along the edge of a block: 1, 2, 4, ... */
+    int32_t blocks[3]; /* size of the table of blocks */
+    float *block_most; /* largest density in each block; NULL when group is 1 */
     float *values;
-    double clip_low[3], clip_high[3];    /* brick coordinates; density is zero outside */
+    double clip_low[3], clip_high[3]; /* brick coordinates; density is zero outside */
 };
 
 /* Offset into lum_grid.values of the largest density in each of the 8^3 cells of a brick that has them: after its corners; a voxel

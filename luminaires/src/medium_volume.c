@@ -141,7 +141,8 @@ static void enter_brick(flight *f, bool cells_wherever_there_are_values)
     if (f->in_blocks) {
         const walk *w = &f->bricks;
         f->in_cells = false;
-        f->bound = (double)g->block_most[((size_t)w->at[0] * (size_t)g->blocks[1] + (size_t)w->at[1]) * (size_t)g->blocks[2] + (size_t)w->at[2]];
+        f->bound = (double)g->block_most[((size_t)w->at[0] * (size_t)g->blocks[1] + (size_t)w->at[1]) * (size_t)g->blocks[2] +
+                                         (size_t)w->at[2]];
         f->exit = clamp_to(w->next[walk_axis(w)], f->end);
         return;
     }
@@ -195,7 +196,8 @@ static bool begin(flight *f, const volume *v, lmg_vec3 o, lmg_vec3 d, double t_m
                 return false;
             continue;
         }
-        const double inverse = 1 / f->d[a], low = (g->clip_low[a] - f->o[a]) * inverse, high = (g->clip_high[a] - f->o[a]) * inverse;
+        const double inverse = 1 / f->d[a], low = (g->clip_low[a] - f->o[a]) * inverse,
+                     high = (g->clip_high[a] - f->o[a]) * inverse;
         from = fmax(from, fmin(low, high));
         to = fmin(to, fmax(low, high));
     }

@@ -28,8 +28,10 @@ static void read_coefficients(lum_reader *r, double scale, float scattering[3], 
     const bool by_scattering = lum_reader_rgb(r, "scattering", 0, MAX_COEFFICIENT, s);
     const bool absorbs = lum_reader_rgb(r, "absorption", 0, MAX_COEFFICIENT, a);
     double e[3];
-    const bool by_extinction = lum_reader_rgb(r, "extinction", 0, MAX_COEFFICIENT, e), has_albedo = lum_reader_rgb(r, "albedo", 0, 1, albedo);
-    if (by_extinction != has_albedo || (by_extinction && (by_scattering || absorbs)) || !(by_extinction || by_scattering || absorbs))
+    const bool by_extinction = lum_reader_rgb(r, "extinction", 0, MAX_COEFFICIENT, e),
+               has_albedo = lum_reader_rgb(r, "albedo", 0, 1, albedo);
+    if (by_extinction != has_albedo || (by_extinction && (by_scattering || absorbs)) ||
+        !(by_extinction || by_scattering || absorbs))
         lum_reader_fail(r, "", "give \"scattering\" and \"absorption\" (1/m), or \"extinction\" (1/m) and \"albedo\"");
     for (int c = 0; c < 3; c++) {
         if (by_extinction && has_albedo) {
@@ -128,7 +130,8 @@ static void read_volume(lum_reader *r, const char *folder, lum_recipe_volume *v)
     lum_reader_string(r, "name", v->name);
     const bool vdb = lum_reader_string(r, "vdb", file), boxed = lum_reader_open(r, "box", &box);
     if (boxed) {
-        const bool low = read_vector(&box, "min", -1e9, 1e9, false, v->low), high = read_vector(&box, "max", -1e9, 1e9, false, v->high);
+        const bool low = read_vector(&box, "min", -1e9, 1e9, false, v->low),
+                   high = read_vector(&box, "max", -1e9, 1e9, false, v->high);
         if (!low || !high)
             lum_reader_fail(&box, "", "needs \"min\" and \"max\", [x, y, z] each");
         for (int a = 0; a < 3 && low && high; a++)
@@ -242,15 +245,17 @@ static lmg_result load_volume(lum_build *b, const lum_recipe_volume *from, lum_v
     for (int c = 0; c < 3; c++)
         largest = fmax(largest, (double)from->scattering[c] + (double)from->absorption[c]);
     for (int a = 0; a < 3; a++)
-        edge += b->scale / 3 * sqrt(from->to_model[0][a] * from->to_model[0][a] + from->to_model[1][a] * from->to_model[1][a] +
-                                    from->to_model[2][a] * from->to_model[2][a]);
+        edge += b->scale / 3 *
+                sqrt(from->to_model[0][a] * from->to_model[0][a] + from->to_model[1][a] * from->to_model[1][a] +
+                     from->to_model[2][a] * from->to_model[2][a]);
     if (*from->path) {
         uint8_t *bytes;
         size_t size;
         LUM_TRY(lum_read_file(from->path, MAX_VDB_BYTES, &bytes, &size, b->err));
         b->model->hash = lum_fnv1a(b->model->hash, bytes, size);
         free(bytes);
-        LUM_TRY(lum_grid_read_vdb(from->path, from->grid, (lum_interpolation)from->interpolation, largest * edge, &to->grid, to_world, b->err));
+        LUM_TRY(lum_grid_read_vdb(from->path, from->grid, (lum_interpolation)from->interpolation, largest * edge, &to->grid,
+                                  to_world, b->err));
     } else {
         LUM_TRY(box_grid(from, &to->grid, to_world, b->err));
     }
@@ -315,8 +320,9 @@ lmg_result lum_recipe_check_medium(lum_build *b, const lum_recipe_entry *e, cons
 {
     if (material->kind == LUM_SURFACE_PBR && !material->thin && material->transmission > 0)
         return LMG_OK;
-    return lmg_fail(b->err, LMG_ERROR_INPUT,
-                    "recipe %s: \"medium\" fills a solid that light gets into, and material \"%.60s\" isn't one; \"glass\" in the same "
-                    "entry makes it one",
-                    e->where, material->name);
+    return lmg_fail(
+        b->err, LMG_ERROR_INPUT,
+        "recipe %s: \"medium\" fills a solid that light gets into, and material \"%.60s\" isn't one; \"glass\" in the same "
+        "entry makes it one",
+        e->where, material->name);
 }

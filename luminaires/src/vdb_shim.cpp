@@ -29,7 +29,8 @@ struct Builder {
     }
 };
 
-const char *const NO_MAP = "grid \"%s\" has a map to the world that isn't affine (a camera frustum?); resample it to a plain lattice";
+const char *const NO_MAP =
+    "grid \"%s\" has a map to the world that isn't affine (a camera frustum?); resample it to a plain lattice";
 
 lmg_result read_map(const openvdb::GridBase &grid, const std::string &name, double m[3][4], lmg_error *err)
 {
@@ -98,7 +99,8 @@ lmg_result read_voxels(const Grid &grid, lum_interpolation interpolation, double
     const lmg_result result = visit(
         tree,
         [&](const CoordBBox &box, float value) {
-            const int32_t from[3] = {box.min().x(), box.min().y(), box.min().z()}, to[3] = {box.max().x(), box.max().y(), box.max().z()};
+            const int32_t from[3] = {box.min().x(), box.min().y(), box.min().z()},
+                          to[3] = {box.max().x(), box.max().y(), box.max().z()};
             return lum_grid_fill(builder.b, from, to, value, err);
         },
         [&](const Node &node) {
@@ -137,7 +139,8 @@ lmg_result choose(const openvdb::GridPtrVec &grids, const char *wanted, openvdb:
             return lmg_fail(err, LMG_ERROR_INPUT, "no grid is called \"%.60s\"; it has %.200s", wanted,
                             list.empty() ? "none" : list.c_str());
     } else if (usable == 0) {
-        return lmg_fail(err, LMG_ERROR_INPUT, "no grid of floating-point numbers; it has %.200s", list.empty() ? "none" : list.c_str());
+        return lmg_fail(err, LMG_ERROR_INPUT, "no grid of floating-point numbers; it has %.200s",
+                        list.empty() ? "none" : list.c_str());
     } else if (usable > 1 && only->getName() != "density") {
         return lmg_fail(err, LMG_ERROR_INPUT, "several grids; choose one with \"grid\": %.200s", list.c_str());
     } else {
@@ -162,7 +165,8 @@ lmg_result read_file(const char *path, const char *wanted, lum_interpolation int
         return result;
     const std::string name = grid->getName();
     if (grid->getGridClass() == openvdb::GRID_LEVEL_SET)
-        return lmg_fail(err, LMG_ERROR_INPUT, "grid \"%s\" is a level set (distances to a surface); a fog volume is wanted", name.c_str());
+        return lmg_fail(err, LMG_ERROR_INPUT, "grid \"%s\" is a level set (distances to a surface); a fog volume is wanted",
+                        name.c_str());
     if (const lmg_result result = read_map(*grid, name, m, err))
         return result;
     /* the mean length of a voxel's edges, in the file's world */

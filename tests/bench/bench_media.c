@@ -3,8 +3,8 @@
  * What participating media cost: photons per second of the tracer without sinks, one thread, processor time, all variants of a lamp
  * in turn and the best of several turns, so that other work on the machine counts as little as can be.
  *
- *   - a bulb in a shell of glass (the opal ball): clear; filled with an isotropic medium of optical depth 1.2 across the wall; filled
- *     with the forward scattering medium of the sample, optical depth 6, which turns light round as much;
+ *   - a bulb in a shell of glass (the opal ball): clear; filled with an isotropic medium of optical depth 1.2 across the wall;
+ * filled with the forward scattering medium of the sample, optical depth 6, which turns light round as much;
  *   - a white tray with LEDs behind a plate, as in a ceiling panel: clear; opal, isotropic optical depth 1.2;
  *   - a bulb in a box of haze: homogeneous; a lattice of 128^3 densities with the same mean, smooth noise; the same with a few
  *     voxels of a million times the mean.
@@ -193,8 +193,8 @@ int main(int argc, char **argv)
         for (size_t i = 0; i < groups[g].count; ++i) {
             const variant *first = groups[g].variants, *v = &first[i];
             if (json)
-                printf("%s{\"name\": \"%s\", \"photons_per_second\": %.4g, \"segments\": %.4g, \"ratio\": %.4g}", g + (int)i ? ",\n" : "", v->name,
-                       v->rate, v->segments, v->rate / first->rate);
+                printf("%s{\"name\": \"%s\", \"photons_per_second\": %.4g, \"segments\": %.4g, \"ratio\": %.4g}",
+                       g + (int)i ? ",\n" : "", v->name, v->rate, v->segments, v->rate / first->rate);
             else
                 printf("%-36s %12.0f %10.2f %8.3f\n", v->name, v->rate, v->segments, v->rate / first->rate);
         }

@@ -121,8 +121,8 @@ static void phase_density_is_normalized(void **state)
 
 /* ----------------------------------------------------------------------------------------------- Beer and Lambert's law */
 
-/* Optical depths from 1e-6 to 1e3: the share that passes, or for thin ones the share that doesn't, per colour, and what is scattered
- * on the way; a photon that goes on has luminance 1. */
+/* Optical depths from 1e-6 to 1e3: the share that passes, or for thin ones the share that doesn't, per colour, and what is
+ * scattered on the way; a photon that goes on has luminance 1. */
 static void flights_obey_beer_and_lambert(void **state)
 {
     (void)state;
@@ -291,7 +291,8 @@ static void half_space_reflects_by_the_h_function(void **state)
         }
 }
 
-/* Very thin and very thick: what a thin slab turns back is half of what it scatters; a conservative one of depth 1000 loses nothing. */
+/* Very thin and very thick: what a thin slab turns back is half of what it scatters; a conservative one of depth 1000 loses
+ * nothing. */
 static void extreme_depths_behave(void **state)
 {
     (void)state;
@@ -345,8 +346,8 @@ static void light_escapes_from_an_absorbing_sphere(void **state)
     }
 }
 
-/* Light that enters a sphere diffusely travels 4 R / 3 in it on average, however much and whichever way it is scattered without loss
- * (Blanco and Fournier 2003). */
+/* Light that enters a sphere diffusely travels 4 R / 3 in it on average, however much and whichever way it is scattered without
+ * loss (Blanco and Fournier 2003). */
 static void mean_path_in_a_sphere_is_invariant(void **state)
 {
     (void)state;
@@ -371,7 +372,8 @@ static void mean_path_in_a_sphere_is_invariant(void **state)
             }
             stats_add(&path, length);
         }
-        print_message("mean path, depth %g, g = %g: %.4f +- %.4f (1.3333)\n", depth[k / 3], g[k % 3], path.mean, stats_error(&path));
+        print_message("mean path, depth %g, g = %g: %.4f +- %.4f (1.3333)\n", depth[k / 3], g[k % 3], path.mean,
+                      stats_error(&path));
         assert_true(fabs(path.mean - 4.0 / 3) <= SIGMAS * stats_error(&path));
     }
 }

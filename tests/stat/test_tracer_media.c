@@ -97,7 +97,8 @@ static void count_rays(void *self, const lmg_ray *rays, size_t count)
             continue;
         ++*(r->direction.z > 0 ? &c->up : &c->down);
         const lmg_vec3 d = c->direction, o = r->origin;
-        c->outside += !(o.x >= c->low.x && o.y >= c->low.y && o.z >= c->low.z && o.x <= c->high.x && o.y <= c->high.y && o.z <= c->high.z);
+        c->outside +=
+            !(o.x >= c->low.x && o.y >= c->low.y && o.z >= c->low.z && o.x <= c->high.x && o.y <= c->high.y && o.z <= c->high.z);
         if (d.x * r->direction.x + d.y * r->direction.y + d.z * r->direction.z > 1 - 1e-7) {
             ++c->straight;
             for (int k = 0; k < 3; ++k) {
@@ -149,7 +150,8 @@ static void slab_transmits_as_published(void **state)
     }
 }
 
-/* A coloured ray straight through a coloured medium: each colour falls by its own exponential.  Also with light out of the gamut. */
+/* A coloured ray straight through a coloured medium: each colour falls by its own exponential.  Also with light out of the gamut.
+ */
 static void colours_fall_by_their_own_coefficients(void **state)
 {
     (void)state;
@@ -187,20 +189,22 @@ static void colours_fall_by_their_own_coefficients(void **state)
             const bake_tally t = trace(model, 72, 200000 / SPARE, 1, &c);
             const double y = 0.2126 * (double)colours[k][0] + 0.7152 * (double)colours[k][1] + 0.0722 * (double)colours[k][2];
             for (int i = 0; i < 3; ++i) {
-                const double expected = (double)colours[k][i] / y * exp(-1.25 * (double)(s[i] + a[i])), mean = c.colour[i] / t.emitted;
+                const double expected = (double)colours[k][i] / y * exp(-1.25 * (double)(s[i] + a[i])),
+                             mean = c.colour[i] / t.emitted;
                 const double se = sqrt((c.squares[i] / t.emitted - mean * mean) / t.emitted);
                 print_message("%s, colour %d: %.5f +- %.5f (%.5f)\n", volume ? "volume" : "solid", i, mean, se, expected);
                 assert_true(fabs(mean - expected) <= SIGMAS * se + 1e-6);
             }
-            /* Light out of the gamut whose luminance nearly cancels after some scatterings may go on as more photons than can wait. */
+            /* Light out of the gamut whose luminance nearly cancels after some scatterings may go on as more photons than can wait.
+             */
             assert_true(t.lost <= (k ? 2e-5 * t.emitted : 0) && c.outside == 0);
             free_model(model);
             lum_grid_destroy(grid);
         }
 }
 
-/* A lossless medium in a refracting ball with a lamp outside or inside: all light comes out, after thousands of scatterings, many of
- * them within rounding of the surface. */
+/* A lossless medium in a refracting ball with a lamp outside or inside: all light comes out, after thousands of scatterings, many
+ * of them within rounding of the surface. */
 static void filled_balls_leak_nothing(void **state)
 {
     (void)state;
@@ -220,7 +224,8 @@ static void filled_balls_leak_nothing(void **state)
     }
 }
 
-/* Smoke of chance around and beyond a small lamp: light out of it starts within the bounds, and what an albedo leaves of it escapes. */
+/* Smoke of chance around and beyond a small lamp: light out of it starts within the bounds, and what an albedo leaves of it
+ * escapes. */
 static lum_model *smoky_lamp(lum_grid **grid, lum_volume *v)
 {
     enum { N = 24 };
@@ -236,8 +241,8 @@ static lum_model *smoky_lamp(lum_grid **grid, lum_volume *v)
     const float white[3] = {100, 100, 100};
     add_light(model, LUM_LIGHT_POINT, v3(0, 0, 0.05), v3(0, 0, 1), white);
     finish_model(model);
-    assert_int_equal(lum_grid_create((const int32_t[3]){0, 0, 0}, (const uint32_t[3]){N, N, N}, values, LUM_INTERPOLATION_LINEAR, 0.1,
-                                     grid, NULL),
+    assert_int_equal(lum_grid_create((const int32_t[3]){0, 0, 0}, (const uint32_t[3]){N, N, N}, values, LUM_INTERPOLATION_LINEAR,
+                                     0.1, grid, NULL),
                      LMG_OK);
     *v = (lum_volume){.scattering = {4, 6, 8}, .absorption = {1, 1, 0}, .anisotropy = 0.6f, .grid = *grid};
     for (int a = 0; a < 3; ++a) {

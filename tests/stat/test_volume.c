@@ -197,10 +197,11 @@ static void optical_depths_are_exact(void **state)
                         sum += plain_density(values, (lum_interpolation)interpolation, q) * t_max / STEPS;
                     }
                     lum_volumes_depth(volumes, o, d, t_max, depth);
-                    /* linear: 40 cells of 1/50 m, second derivatives up to 2 largest / cell^2: (h^2 / 24) f'' over the length, and at
-                     * each of some 100 faces a kink, h^2 / 8 times the change of slope; nearest: 100 faces, half a step each */
+                    /* linear: 40 cells of 1/50 m, second derivatives up to 2 largest / cell^2: (h^2 / 24) f'' over the length, and
+                     * at each of some 100 faces a kink, h^2 / 8 times the change of slope; nearest: 100 faces, half a step each */
                     const double h = t_max / STEPS;
-                    const double bound = interpolation ? 100 * 0.5 * h * largest : 100 * h * h / 8 * 4 * largest * 60 + h * h * 2 * largest * 3600 / 24;
+                    const double bound = interpolation ? 100 * 0.5 * h * largest
+                                                       : 100 * h * h / 8 * 4 * largest * 60 + h * h * 2 * largest * 3600 / 24;
                     assert_true(fabs(depth[0] - 3 * sum) <= 3 * bound);
                     assert_true(fabs(depth[1] - depth[0] * 2 / 3) <= 1e-12 * depth[0]);
                     assert_true(fabs(depth[2] - depth[0] / 6) <= 1e-12 * depth[0]);
@@ -255,16 +256,20 @@ static void flights_pass_as_the_depth_says(void **state)
                             assert_true(f.event != LUM_FLIGHT_SCATTERED || (f.g == 0.25 && f.t >= 0 && f.t <= t_max));
                         }
                         for (int c = 0; c < 3; ++c) {
-                            const double s = (double)model->volumes[0].scattering[c], e = s + (double)model->volumes[0].absorption[c];
+                            const double s = (double)model->volumes[0].scattering[c],
+                                         e = s + (double)model->volumes[0].absorption[c];
                             const double t = exp(-depth[c]), u = s / e * -expm1(-depth[c]);
                             const double floor_t = sqrt(t * (1 - t) / n), floor_u = sqrt(fmax(u * (1 - u), 0) / n);
-                            const double z_t = fabs(passed[c].mean - t) / fmax(fmax(stats_error(&passed[c]), floor_t), 1.0 / n / SIGMAS);
-                            const double z_u = fabs(scattered[c].mean - u) / fmax(fmax(stats_error(&scattered[c]), floor_u), 1.0 / n / SIGMAS);
+                            const double z_t =
+                                fabs(passed[c].mean - t) / fmax(fmax(stats_error(&passed[c]), floor_t), 1.0 / n / SIGMAS);
+                            const double z_u =
+                                fabs(scattered[c].mean - u) / fmax(fmax(stats_error(&scattered[c]), floor_u), 1.0 / n / SIGMAS);
                             z[c] = fmax(z[c], fmax(z_t, z_u));
                         }
                     }
-                    print_message("contents %d, %s, %s, bounds by %s: largest z %.2f %.2f %.2f\n", kind, interpolation ? "nearest" : "linear",
-                                  coloured ? "coloured" : "grey", walk ? "cell" : "brick", z[0], z[1], z[2]);
+                    print_message("contents %d, %s, %s, bounds by %s: largest z %.2f %.2f %.2f\n", kind,
+                                  interpolation ? "nearest" : "linear", coloured ? "coloured" : "grey", walk ? "cell" : "brick",
+                                  z[0], z[1], z[2]);
                     for (int c = 0; c < 3; ++c)
                         assert_true(z[c] <= SIGMAS);
                     lum_volumes_destroy(volumes);
@@ -273,8 +278,8 @@ static void flights_pass_as_the_depth_says(void **state)
                 }
 }
 
-/* Where photons collide in a constant grid: exponentially, as in a homogeneous medium; chi-square over 40 cells of equal probability
- * of the distance. */
+/* Where photons collide in a constant grid: exponentially, as in a homogeneous medium; chi-square over 40 cells of equal
+ * probability of the distance. */
 static void constant_grid_is_a_homogeneous_medium(void **state)
 {
     (void)state;
@@ -312,8 +317,11 @@ static void constant_grid_is_a_homogeneous_medium(void **state)
         for (int k = 0; k < 2; ++k) {
             const double p = stats_chi_square(counts[k], expected, CELLS + 1, NULL, NULL);
             const double a = -expm1(-8 * t_max) / 8, se = sqrt(a * (1 - a) / N);
-            print_message("%s: chi-square p = %.3f, absorbed %.4f +- %.4f (%.4f)\n", k ? "homogeneous" : interpolation ? "nearest" : "linear", p,
-                          absorbed[k] / N, se, a);
+            print_message("%s: chi-square p = %.3f, absorbed %.4f +- %.4f (%.4f)\n",
+                          k               ? "homogeneous"
+                          : interpolation ? "nearest"
+                                          : "linear",
+                          p, absorbed[k] / N, se, a);
             assert_true(p > 1e-3);
             assert_true(fabs(absorbed[k] / N - a) <= SIGMAS * se);
         }

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Media in recipes: what reaches the model, and one clear line for everything that can't be: coefficients, places, OpenVDB files and
- * grids, materials that light doesn't get into.
+ * Media in recipes: what reaches the model, and one clear line for everything that can't be: coefficients, places, OpenVDB files
+ * and grids, materials that light doesn't get into.
  */
 #include <stdarg.h>
 #include <stddef.h>
@@ -93,9 +93,11 @@ static void bad_media_are_refused_by_the_reader(void **state)
     } bad[] = {
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":-1}}]}", "entries[0].medium.scattering: -1 is outside"},
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":1,\"absorption\":[0,-2,0]}}]}", "medium.absorption: -2"},
-        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"extinction\":1,\"albedo\":1.5}}]}", "medium.albedo: 1.5 is outside [0, 1]"},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"extinction\":1,\"albedo\":1.5}}]}",
+         "medium.albedo: 1.5 is outside [0, 1]"},
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"extinction\":1}}]}", "\"albedo\""},
-        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"extinction\":1,\"albedo\":1,\"scattering\":1}}]}", "give \"scattering\""},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"extinction\":1,\"albedo\":1,\"scattering\":1}}]}",
+         "give \"scattering\""},
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":0}}]}", "scatters nothing"},
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":1,\"anisotropy\":1}}]}", "anisotropy: 1 is outside"},
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":1,\"g\":0.5}}]}", "unknown key \"g\""},
@@ -142,10 +144,11 @@ static void bad_media_are_refused_at_load(void **state)
     (void)state;
     refused_at_load("{\"entries\":[{\"match\":\"Glass\",\"thin\":true,\"medium\":{\"scattering\":1}}]}", LMG_ERROR_INPUT,
                     "\"medium\" fills a solid that light gets into, and material \"Glass\" isn't one");
-    refused_at_load("{\"entries\":[{\"match\":\"Glass\",\"mirror\":{\"reflectance\":1},\"medium\":{\"scattering\":1}}]}", LMG_ERROR_INPUT,
-                    "isn't one");
+    refused_at_load("{\"entries\":[{\"match\":\"Glass\",\"mirror\":{\"reflectance\":1},\"medium\":{\"scattering\":1}}]}",
+                    LMG_ERROR_INPUT, "isn't one");
     if (!lum_vdb_available()) {
-        refused_at_load("{\"volumes\":[{\"vdb\":\"media.recipe.json\",\"scattering\":1}]}", LMG_ERROR_UNSUPPORTED, "without OpenVDB");
+        refused_at_load("{\"volumes\":[{\"vdb\":\"media.recipe.json\",\"scattering\":1}]}", LMG_ERROR_UNSUPPORTED,
+                        "without OpenVDB");
         return;
     }
     refused_at_load("{\"volumes\":[{\"vdb\":\"nowhere.vdb\",\"scattering\":1}]}", LMG_ERROR_FILE_OPEN,
