@@ -17,7 +17,7 @@
 #include <cmocka.h>
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-enum { PHOTONS = 20000 };
+enum { PHOTONS = 200000 };
 #else
 enum { PHOTONS = 1000000 };
 #endif
