@@ -16,11 +16,12 @@ static const uint64_t DEFAULT_RAYS = 10000000;
 static const uint64_t ROUND = 1u << 18;
 /* Photons between two looks at options.stop. */
 static const uint64_t STRETCH = 1u << 22;
-/* Cells of a box per ray of a finite source, within these bounds: see docs/rayfiles.md for what more and fewer do. */
-static const double CELLS_PER_RAY = 4;
 /* Slivers of an opening are thinner than this part of it: radiance at its edge changes by less than a tenth of a cell. */
 static const double SLIVER = 2e-3;
-static const uint64_t CELLS_LEAST = 100000, CELLS_MOST = 4000000;
+/* Cells of a box per ray of a finite source, within these bounds.  A few rays in a cell tell its slopes from noise; where most cells are
+ * empty, slopes towards them take radiance from the edges: 3 % at 70 degrees with one ray in two cells, 0.3 % with five in two. */
+static const double CELLS_PER_RAY = 0.2;
+static const uint64_t CELLS_LEAST = 400000, CELLS_MOST = 4000000;
 
 static lmg_result stopped(const bake_convert_options *o, lmg_error *err)
 {
