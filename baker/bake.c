@@ -266,7 +266,7 @@ static lmg_result trace(bake *b, double deadline, lmg_error *err)
                                      : (double)part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6);
     bake_team *team = o->team;
     if (team) {
-        const lmg_result result = team->invite(team, part, o->first, end_of(o), err);
+        const lmg_result result = team->invite(team, part, b->report->plan.simulated, o->first, end_of(o), err);
         if (result != LMG_OK)
             return result;
     }

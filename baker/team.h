@@ -13,8 +13,9 @@ struct lum_model;
 
 typedef struct bake_team bake_team;
 struct bake_team {
-    /* Tells the others what is baked: part's bake and layout, the photons among first .. end-1 that it lacks. */
-    lmg_result (*invite)(bake_team *team, const bake_part *part, uint64_t first, uint64_t end, lmg_error *err);
+    /* Tells the others what is baked: part's bake and layout, the photons among first .. end-1 that it lacks, with these effects (bits of
+     * bake_effect). */
+    lmg_result (*invite)(bake_team *team, const bake_part *part, uint32_t effects, uint64_t first, uint64_t end, lmg_error *err);
     /* Takes up to `most` photons that nobody has yet, for the caller to trace; false when there are none. */
     bool (*take)(bake_team *team, uint64_t most, uint64_t *first, uint64_t *count);
     /* Answers the others and adds what they have sent to part.  To be called every second or so. */

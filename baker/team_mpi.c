@@ -3,7 +3,7 @@
  * A bake shared by the processes of mpirun.
  *
  * Messages of a helper to the first process: WANT (number of photons it would like next) and PART (size and whether it is the last,
- * then the bytes in pieces).  Of the first process to a helper: INVITATION (size, then the bytes of an empty part; size 0: go home)
+ * then the bytes in pieces).  Of the first process to a helper: INVITATION (size and effects, then the bytes of an empty part; size 0: go home)
  * and BLOCK (first photon, count; count 0: send what you have), and last GOODBYE (whether all processes are still there to end
  * together).
  *
@@ -183,7 +183,7 @@ static lmg_result empty_like(const bake_part *part, bake_part **out, lmg_error *
 
 /* --------------------------------------------------------------------------------------------------- the first process */
 
-static lmg_result invite(bake_team *self, const bake_part *part, uint64_t first, uint64_t end, lmg_error *err)
+static lmg_result invite(bake_team *self, const bake_part *part, uint32_t effects, uint64_t first, uint64_t end, lmg_error *err)
 {
     team_mpi *t = (team_mpi *)self;
     t->first = first;
@@ -199,10 +199,10 @@ static lmg_result invite(bake_team *self, const bake_part *part, uint64_t first,
         return result;
     result = bake_part_save(empty, append, &m, err);
     bake_part_destroy(empty);
-    const uint64_t size = m.size;
+    const uint64_t head[2] = {m.size, effects};
     for (int r = 1; result == LMG_OK && r < t->size; ++r) {
         t->helpers[r].heard = bake_clock();
-        if (!send(r, TAG_INVITATION, &size, sizeof(size)) || !send(r, TAG_INVITATION_BYTES, m.bytes, size))
+        if (!send(r, TAG_INVITATION, head, sizeof(head)) || !send(r, TAG_INVITATION_BYTES, m.bytes, m.size))
             t->helpers[r].gone = t->some_died = true;
     }
     free(m.bytes);
@@ -375,9 +375,10 @@ static lmg_result trace_blocks(bake_part **part, bake_source *tracer, const bake
 lmg_result bake_team_work(bake_team *self, const struct lum_model *model, const struct bake_options *options, bool failed, lmg_error *err)
 {
     team_mpi *t = (team_mpi *)self;
-    uint64_t size = 0;
+    uint64_t head[2] = {0}; /* as invite sends it */
     /* the first process may spend long on its pilot; should it die, mpirun ends this one */
-    receive(0, TAG_INVITATION, &size, sizeof(size), (double)INFINITY);
+    receive(0, TAG_INVITATION, head, sizeof(head), (double)INFINITY);
+    const uint64_t size = head[0];
     t->over = true;
     if (size == 0)
         return LMG_OK;
@@ -393,7 +394,7 @@ lmg_result bake_team_work(bake_team *self, const struct lum_model *model, const 
         result = bake_part_load(bytes, size, "the first process's layout", &part, err);
     free(bytes);
     if (result == LMG_OK)
-        result = bake_tracer_create(model, options->seed, &tracer, err);
+        result = bake_tracer_create_with(model, (uint32_t)head[1], options->seed, NULL, &tracer, err);
     if (result == LMG_OK)
         result = trace_blocks(&part, tracer, options, err);
     if (result != LMG_OK) {
@@ -447,9 +448,9 @@ void bake_team_leave(bake_team *self, int code)
         return;
     fflush(NULL);
     if (t->rank == 0 && !t->begun) {
-        const uint64_t go_home = 0;
+        const uint64_t go_home[2] = {0};
         for (int r = 1; r < t->size; ++r)
-            send(r, TAG_INVITATION, &go_home, sizeof(go_home));
+            send(r, TAG_INVITATION, go_home, sizeof(go_home));
     } else if (t->rank == 0 && !t->over) {
         MPI_Abort(MPI_COMM_WORLD, code); /* failed in the middle: the others would work for nobody */
     }
