@@ -18,6 +18,10 @@
 /* To be called first: opens the group's list of results and sets the traps.  For cmocka_run_group_tests_name: NULL otherwise. */
 void hard_begin(const char *group);
 
+/* No traps from here on: for programs that meet rough lobes, whose tables are vectorized (-fno-trapping-math: lanes that aren't needed
+ * divide by zero). */
+void hard_without_traps(void);
+
 /* A case whose result is a number: fails the test unless got <= bound (NaN fails).  Texts: one line each, without tabs. */
 void hard_at_most(const char *name, const char *expectation, double got, double bound);
 

@@ -196,6 +196,7 @@ static void test_variants(void **state)
 int main(void)
 {
     hard_begin("variants");
+    hard_without_traps();
     const struct CMUnitTest tests[] = {cmocka_unit_test(test_variants)};
     return cmocka_run_group_tests_name("hard_variants", tests, NULL, NULL);
 }
