@@ -120,13 +120,15 @@ static bool surface(const lum_shape *shape, int part, double s, double t, double
     switch (shape->kind) {
     case LUM_SHAPE_BOX: {
         const double half[3] = {a, b, c};
+        if (part >= 6)
+            return false;
         const int axis = part / 2, u = (axis + 1) % 3, v = (axis + 2) % 3;
         p[axis] = part % 2 ? half[axis] : -half[axis];
         p[u] = half[u] * (2 * s - 1);
         p[v] = half[v] * (2 * t - 1);
         n[axis] = (part % 2 ? 4 : -4) * half[u] * half[v];
         n[u] = n[v] = 0;
-        return part < 6;
+        return true;
     }
     case LUM_SHAPE_ELLIPSOID: {
         const double z = 2 * t - 1, r = sqrt(1 - z * z), e[3] = {r * cos(phi), r * sin(phi), z}, half[3] = {a, b, c};
