@@ -404,7 +404,7 @@ static void add_block(const sharing *w, const sharing_sums *sums, uint64_t st, u
     if (!(sums->sum[at] >= 0))
         return;
     if (!w->wanted(w->self, at * cells + st)) {
-        sums->sum[at] = (double)NAN;
+        sums->sum[at] = -(double)INFINITY;
         return;
     }
     sums->sum[at] += sums->sight->weight * cut_area(e, sums->sight, &r, touching, count, NULL) / ((r.u1 - r.u0) * (r.v1 - r.v0));
@@ -430,8 +430,11 @@ static lmg_result share_piece(void *self, uint64_t index, void *scratch, lmg_err
         all += sums->sight->weight;
         add_block(w, sums, index, 0, slab->nu, 0, slab->nv);
     }
+    /* No direction of this (s,t) cell is anybody's: a ray that rounding puts there finds the cell whole. */
+    const bool seen = all > 0;
+    const double whole = seen ? all : 1;
     for (size_t i = 0; i < count; i++)
-        w->share[i * cells + index] = sums->sum[i] >= 0 ? (float)d_min(sums->sum[i] / all, 1) : UNKNOWN;
+        w->share[i * cells + index] = sums->sum[i] >= 0 ? (seen ? (float)d_min(sums->sum[i] / whole, 1) : 1) : UNKNOWN;
     return LMG_OK;
 }
 
@@ -494,5 +497,5 @@ double lmg_etendue_effective(const lmg_etendue *e, uint32_t iu, uint32_t iv, uin
         all += s.weight;
         sum += s.weight * area_in_sight(e, &s, &r, NULL);
     }
-    return d_min(full * (sum / (all * (r.u1 - r.u0) * (r.v1 - r.v0))), full);
+    return all > 0 ? d_min(full * (sum / (all * (r.u1 - r.u0) * (r.v1 - r.v0))), full) : full;
 }

@@ -8,8 +8,8 @@
  *     L = mean (1 + gu x + gv y) (1 + gs (z - mz) + gt (w - mw)),
  * x, y, z, w in [-1,1] across the cell in u, v, s, t, and (mz, mw) the cell's centroid in etendue (0 for aperture slabs, whose etendue is
  * uniform).  The mean over the cell's etendue is the cell's number whatever the slopes, so no flux moves.  Slopes are differences of the
- * neighbours' numbers (the finite-volume reconstruction of [vanleer1979towards]), so the file needs nothing for them; they are limited only so
- * far that radiance stays positive: a stricter limiter would be biased by noise, which an average over many cells wouldn't forgive.
+ * neighbours' numbers (the finite-volume reconstruction of [vanleer1979towards]), shrunk by what of them is noise [james1961], so the file needs
+ * nothing for them; they are limited only so far that radiance stays positive: a stricter limiter would cut into what is light.
  */
 #ifndef LUMIGRAPH_SLOPES_H
 #define LUMIGRAPH_SLOPES_H
