@@ -435,12 +435,13 @@ static void test_study(void **state)
 static void test_error(void **state)
 {
     (void)state;
-    outcome o = RUN("bake", lamp, "-o", in_folder("error.box.exr"), "--error", "4%", "--seed", "5", "--json");
+    outcome o = RUN("bake", lamp, "-o", in_folder("error.box.exr"), "--error", "2%", "--seed", "5", "--json");
     assert_int_equal(o.code, 0);
     json_t *j = parse_json(o.out), *e = json_object_get(j, "error");
     const double said = number_at(e, "rms", NULL), se = number_at(e, "standard_error", NULL);
     assert_true(json_is_true(json_object_get(e, "within")));
-    assert_true(said > 0.02 && said < 0.046); /* at most 15 % above; below it the first bake may be good enough already */
+    /* at most 15 % off; further below only when the first bake, of 10^5 photons, is that good already */
+    assert_true(said <= 1.15 * 0.02 && (said >= 0.85 * 0.02 || number_at(j, "photons", NULL) <= 1e5));
     json_decref(j);
     release(&o);
     o = RUN("compare", in_folder("error.box.exr"), lamp, "--photons", "2e6", "--distances", "0.5,1,2,5,10", "--no-align", "--json");
