@@ -118,6 +118,7 @@ static void consume_moments(void *self, const lmg_ray *rays, size_t count)
 /* Solves the symmetric positive 3 x 3 system by Cholesky's method; false when it is singular to rounding. */
 static bool solve3(const double a[6], const double b[3], double x[3])
 {
+    /* Pivots below this are the rounding of sums of the trace's size (2^-53, times the few operations, with room). */
     const double tiny = 1e-12 * (a[0] + a[3] + a[5]);
     const double l00 = sqrt(a[0]), l10 = a[1] / l00, l20 = a[2] / l00;
     const double d1 = a[3] - l10 * l10;
@@ -207,6 +208,7 @@ static lmg_result measure(bake_source *source, uint64_t photons, unsigned thread
     lmg_result result = LMG_OK;
     for (uint64_t b = 0; result == LMG_OK && b < BLOCKS; ++b) {
         moments m = {.centre = {0.5 * (lo.x + hi.x), 0.5 * (lo.y + hi.y), 0.5 * (lo.z + hi.z)}};
+        /* A source without extent is measured in nanometres: any unit serves, but zero. */
         m.scale = fmax(fmax(hi.x - lo.x, hi.y - lo.y), fmax(hi.z - lo.z, 1e-9));
         bake_receiver *far_field;
         result = bake_sphere_create(
@@ -406,7 +408,7 @@ static double fit_rotation(const double a[TERMS], const double at_probes[PROBES]
                 better = true;
             }
         }
-        if (!better || length < 1e-6)
+        if (!better || length < 1e-6) /* radians: a thousandth of what any number of rays determines */
             break;
     }
     return now;

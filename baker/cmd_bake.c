@@ -28,9 +28,6 @@ enum {
     KEY_OUTPUT_FLUX,
     KEY_SEED,
     KEY_THREADS,
-    KEY_RECIPE,
-    KEY_NO_RECIPE,
-    KEY_SET,
     KEY_LAYOUT,
     KEY_CELLS,
     KEY_RESOLUTION,
@@ -54,9 +51,7 @@ static const struct argp_option OPTIONS[] = {
     {"error-of", KEY_ERROR_OF, "WHAT", 0, "near-field (illuminance at 0.5 to 10 sizes; default), far-field or luminance", 2},
     {"flux", KEY_FLUX, "LM", 0, "what the lamp's sources emit, such as 800lm", 3},
     {"output-flux", KEY_OUTPUT_FLUX, "LM", 0, "what leaves the luminaire", 3},
-    {"recipe", KEY_RECIPE, "FILE", 0, "lamp recipe (default LAMP.recipe.json if there)", 3},
-    {"no-recipe", KEY_NO_RECIPE, 0, 0, "don't look for a recipe beside the lamp", 3},
-    {"set", KEY_SET, "ENTRY", 0, "recipe entry, such as emitter:Bulb=800lm (repeatable)", 3},
+    LAMP_OPTIONS(3),
     {"layout", KEY_LAYOUT, "KIND", 0, "auto, cube or aperture (default auto)", 4},
     {"cells", KEY_CELLS, "N", 0, "size of the light field in cells (default 4e6)", 4},
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 4},
@@ -162,7 +157,7 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             usage_error(state, "--photons: no photons, no light; give at least 1, or --time");
         break;
     case KEY_ERROR:
-        c->target.error = argument_percent(state, "--error", arg);
+        c->target.error = argument_share(state, "--error", arg);
         if (c->target.error < 1e-4)
             usage_error(state, "--error: '%s' is less than 0.01 %%", arg);
         break;
@@ -174,15 +169,6 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_OUTPUT_FLUX:
         c->bake.output_flux_lm = argument_lumens(state, "--output-flux", arg);
-        break;
-    case KEY_RECIPE:
-        c->lamp.recipe_path = arg;
-        break;
-    case KEY_NO_RECIPE:
-        c->lamp.no_recipe = true;
-        break;
-    case KEY_SET:
-        add_recipe_entry(state, &c->lamp, arg);
         break;
     case KEY_LAYOUT:
         c->bake.fit.choice = argument_layout(state, arg);
@@ -253,12 +239,10 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             usage_error(state, "--error and --output-flux exclude each other; give --flux");
         if (c->bake.flux_lm > 0 && c->bake.output_flux_lm > 0)
             usage_error(state, "--flux and --output-flux exclude each other");
-        if (c->lamp.recipe_path && c->lamp.no_recipe)
-            usage_error(state, "--recipe and --no-recipe exclude each other");
         settle_photons(state, c);
         break;
     default:
-        return ARGP_ERR_UNKNOWN;
+        return parse_lamp_option(state, key, arg, &c->lamp) ? 0 : ARGP_ERR_UNKNOWN;
     }
     return 0;
 }

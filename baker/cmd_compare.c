@@ -132,7 +132,7 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         c->options.align = false;
         break;
     case KEY_TOLERANCE:
-        c->tolerance = argument_percent(state, "--tolerance", arg);
+        c->tolerance = argument_share(state, "--tolerance", arg);
         break;
     case 'o':
         c->report = arg;

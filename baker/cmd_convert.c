@@ -31,9 +31,6 @@ enum {
     KEY_LAYOUT,
     KEY_RESOLUTION,
     KEY_FLUX,
-    KEY_RECIPE,
-    KEY_NO_RECIPE,
-    KEY_SET,
     KEY_SEED,
     KEY_THREADS,
     KEY_JSON
@@ -54,9 +51,7 @@ static const struct argp_option OPTIONS[] = {
     {"layout", KEY_LAYOUT, "KIND", 0, "of a box: auto, cube or aperture (default auto)", 2},
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 2},
     {"flux", KEY_FLUX, "LM", 0, "what the sources of a glTF lamp emit, as in bake", 3},
-    {"recipe", KEY_RECIPE, "FILE", 0, "lamp recipe, as in bake", 3},
-    {"no-recipe", KEY_NO_RECIPE, 0, 0, "don't look for a recipe beside the lamp", 3},
-    {"set", KEY_SET, "ENTRY", 0, "recipe entry (repeatable)", 3},
+    LAMP_OPTIONS(3),
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 4},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 4},
     {"quiet", 'q', 0, 0, "no remarks, no summary", 5},
@@ -214,15 +209,6 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case KEY_FLUX:
         c->flux_lm = argument_lumens(state, "--flux", arg);
         break;
-    case KEY_RECIPE:
-        c->lamp.recipe_path = arg;
-        break;
-    case KEY_NO_RECIPE:
-        c->lamp.no_recipe = true;
-        break;
-    case KEY_SET:
-        add_recipe_entry(state, &c->lamp, arg);
-        break;
     case KEY_SEED:
         c->seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
         break;
@@ -251,11 +237,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             usage_error(state, "--near goes with photometric files");
         if ((c->distance > 0 || c->step > 0) && c->to != TO_PICTURES)
             usage_error(state, "--distance and --step go with pictures");
-        if (c->lamp.recipe_path && c->lamp.no_recipe)
-            usage_error(state, "--recipe and --no-recipe exclude each other");
         break;
     default:
-        return ARGP_ERR_UNKNOWN;
+        return parse_lamp_option(state, key, arg, &c->lamp) ? 0 : ARGP_ERR_UNKNOWN;
     }
     return 0;
 }

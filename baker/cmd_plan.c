@@ -13,14 +13,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { KEY_ERROR = 256, KEY_PHOTONS, KEY_RECIPE, KEY_NO_RECIPE, KEY_SET, KEY_SEED, KEY_THREADS, KEY_JSON };
+enum { KEY_ERROR = 256, KEY_PHOTONS, KEY_SEED, KEY_THREADS, KEY_JSON };
 
 static const struct argp_option OPTIONS[] = {
     {"error", KEY_ERROR, "E", 0, "what leaving effects out may change, such as 1% (default 0.1%)", 1},
     {"photons", KEY_PHOTONS, "N", 0, "photons of each run (default: those of a bake's plan)", 1},
-    {"recipe", KEY_RECIPE, "FILE", 0, "lamp recipe (default LAMP.recipe.json if there)", 2},
-    {"no-recipe", KEY_NO_RECIPE, 0, 0, "don't look for a recipe beside the lamp", 2},
-    {"set", KEY_SET, "ENTRY", 0, "recipe entry, such as emitter:Bulb=800lm (repeatable)", 2},
+    LAMP_OPTIONS(2),
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 3},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; changes the costs only", 3},
     {"json", KEY_JSON, 0, 0, "everything as JSON", 3},
@@ -48,17 +46,6 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case KEY_PHOTONS:
         c->plan.photons = argument_count(state, "--photons", arg, 1024, 1000000000);
         break;
-    case KEY_RECIPE:
-        c->lamp.recipe_path = arg;
-        break;
-    case KEY_NO_RECIPE:
-        c->lamp.no_recipe = true;
-        break;
-    case KEY_SET:
-        if (c->lamp.set_count == sizeof(c->lamp.sets) / sizeof(c->lamp.sets[0]))
-            usage_error(state, "--set: more than %zu entries; write a recipe file", c->lamp.set_count);
-        c->lamp.sets[c->lamp.set_count++] = arg;
-        break;
     case KEY_SEED:
         c->seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
         break;
@@ -76,11 +63,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case ARGP_KEY_END:
         if (!c->lamp.path)
             usage_error(state, "which lamp? give a .gltf or .glb file");
-        if (c->lamp.recipe_path && c->lamp.no_recipe)
-            usage_error(state, "--recipe and --no-recipe exclude each other");
         break;
     default:
-        return ARGP_ERR_UNKNOWN;
+        return parse_lamp_option(state, key, arg, &c->lamp) ? 0 : ARGP_ERR_UNKNOWN;
     }
     return 0;
 }

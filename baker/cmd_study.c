@@ -12,15 +12,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { KEY_TIME = 256, KEY_FLUX, KEY_RECIPE, KEY_NO_RECIPE, KEY_SET, KEY_SEED, KEY_THREADS, KEY_JSON };
+enum { KEY_TIME = 256, KEY_FLUX, KEY_SEED, KEY_THREADS, KEY_JSON };
 
 static const struct argp_option OPTIONS[] = {
     {"output", 'o', "REPORT.html", 0, "write the study as one HTML file (needs gnuplot)", 1},
     {"time", KEY_TIME, "TIME", 0, "of the whole study, about: 90s, 10m (default 5m)", 1},
     {"flux", KEY_FLUX, "LM", 0, "what the lamp's sources emit, as in bake", 2},
-    {"recipe", KEY_RECIPE, "FILE", 0, "lamp recipe (default LAMP.recipe.json if there)", 2},
-    {"no-recipe", KEY_NO_RECIPE, 0, 0, "don't look for a recipe beside the lamp", 2},
-    {"set", KEY_SET, "ENTRY", 0, "recipe entry, such as emitter:Bulb=800lm (repeatable)", 2},
+    LAMP_OPTIONS(2),
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 3},
     {"threads", KEY_THREADS, "N", 0, "default: all cores", 3},
     {"json", KEY_JSON, 0, 0, "every number as JSON", 4},
@@ -52,15 +50,6 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case KEY_FLUX:
         c->options.flux_lm = argument_lumens(state, "--flux", arg);
         break;
-    case KEY_RECIPE:
-        c->lamp.recipe_path = arg;
-        break;
-    case KEY_NO_RECIPE:
-        c->lamp.no_recipe = true;
-        break;
-    case KEY_SET:
-        add_recipe_entry(state, &c->lamp, arg);
-        break;
     case KEY_SEED:
         c->options.seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
         break;
@@ -80,7 +69,7 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             usage_error(state, "which lamp? give a .gltf or .glb file");
         break;
     default:
-        return ARGP_ERR_UNKNOWN;
+        return parse_lamp_option(state, key, arg, &c->lamp) ? 0 : ARGP_ERR_UNKNOWN;
     }
     return 0;
 }

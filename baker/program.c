@@ -89,15 +89,6 @@ uint64_t argument_count(const struct argp_state *state, const char *option, cons
     return (uint64_t)value;
 }
 
-double argument_percent(const struct argp_state *state, const char *option, const char *text)
-{
-    char *end;
-    const double value = strtod(text, &end);
-    if (end == text || (*end && strcmp(end, "%") != 0) || !(value > 0) || !(value <= 1000))
-        usage_error(state, "%s: '%s' is not a percentage such as 1%% (more than 0, at most 1000)", option, text);
-    return value / 100;
-}
-
 double argument_seconds(const struct argp_state *state, const char *option, const char *text)
 {
     char *end;
@@ -197,6 +188,26 @@ void add_recipe_entry(const struct argp_state *state, lamp_options *lamp, const 
     if (lamp->set_count == sizeof(lamp->sets) / sizeof(lamp->sets[0]))
         usage_error(state, "more than %zu recipe entries; write a recipe file", lamp->set_count);
     lamp->sets[lamp->set_count++] = entry;
+}
+
+bool parse_lamp_option(const struct argp_state *state, int key, const char *arg, lamp_options *lamp)
+{
+    switch (key) {
+    case KEY_LAMP_RECIPE:
+        lamp->recipe_path = arg;
+        break;
+    case KEY_LAMP_NO_RECIPE:
+        lamp->no_recipe = true;
+        break;
+    case KEY_LAMP_SET:
+        add_recipe_entry(state, lamp, arg);
+        break;
+    default:
+        return false;
+    }
+    if (lamp->recipe_path && lamp->no_recipe)
+        usage_error(state, "--recipe and --no-recipe exclude each other");
+    return true;
 }
 
 bool lamp_recipe_path(const lamp_options *lamp, char path[1024])

@@ -37,7 +37,6 @@ _Noreturn void usage_error(const struct argp_state *state, const char *format, .
 double argument_number(const struct argp_state *state, const char *option, const char *text, double least, double most);
 uint64_t argument_count(const struct argp_state *state, const char *option, const char *text, uint64_t least,
                         uint64_t most);                                                        /* "1e8" */
-double argument_percent(const struct argp_state *state, const char *option, const char *text); /* "1%" or "1" -> 0.01 */
 double argument_seconds(const struct argp_state *state, const char *option, const char *text); /* "90s" "2m" "1h" */
 double argument_lumens(const struct argp_state *state, const char *option, const char *text);  /* "800lm" */
 lmg_layout_choice argument_layout(const struct argp_state *state, const char *text);           /* --layout "cube" */
@@ -63,6 +62,15 @@ typedef struct lamp_options {
 
 /* Adds what --set says; more entries than there is room for are a usage error. */
 void add_recipe_entry(const struct argp_state *state, lamp_options *lamp, const char *entry);
+
+/* The options of every command that takes one lamp: --recipe, --no-recipe, --set, in an option group of its table. */
+enum { KEY_LAMP_RECIPE = 4096, KEY_LAMP_NO_RECIPE, KEY_LAMP_SET };
+#define LAMP_OPTIONS(group)                                                                                                          \
+    {"recipe", KEY_LAMP_RECIPE, "FILE", 0, "lamp recipe (default LAMP.recipe.json if there)", group},                                \
+        {"no-recipe", KEY_LAMP_NO_RECIPE, 0, 0, "don't look for a recipe beside the lamp", group},                                   \
+        {"set", KEY_LAMP_SET, "ENTRY", 0, "recipe entry, such as emitter:Bulb=800lm (repeatable)", group}
+/* Takes one of them; false: the key is none of these. */
+bool parse_lamp_option(const struct argp_state *state, int key, const char *arg, lamp_options *lamp);
 
 /* The recipe that belongs to a lamp: found (true) and its path. */
 bool lamp_recipe_path(const lamp_options *lamp, char path[1024]);
