@@ -44,8 +44,9 @@ static const uint32_t LONG_SEGMENTS = 100000;
  * photon on it.  TRAP_COUNT keeps chance from deciding: of a chunk's few given up by a smaller share, more than that come once in
  * 10^4. */
 static const double TRAP_COUNT = 4, TRAP_SHARE = 0.001;
-/* Photons that wait because one became several.  On average one becomes at most one, so a few suffice; more count as lost. */
-enum { MAX_PENDING = 64 };
+/* Photons that wait because one became several.  On average one becomes at most one, so mostly a few wait; but light out of the gamut
+ * whose luminance nearly cancels goes on as a hundred and more.  Beyond that they count as lost. */
+enum { MAX_PENDING = 512 };
 
 typedef struct path {
     double colour[3]; /* luminance 1 */
