@@ -16,7 +16,7 @@
  * (luminaires/medium.h), so that here too luminance stays 1.  A scattering is no bounce: only surfaces count towards the limit after
  * which light is given up, as thick media scatter light a million times and still let it out.
  *
- * Light that has to be followed by wavelength (spectral.h) is the exception: a path carries several wavelengths, and a luminance that
+ * Light that has to be followed by wavelength (luminaires/waves.h) is the exception: a path carries several wavelengths, and a luminance that
  * varies about 1; it is counted in parts of a photon, and what a change of luminance gives or takes counts as absorbed, so that the
  * balance is exact there too.
  *
@@ -116,7 +116,7 @@ static void destroy(bake_source *source)
     lum_scene_destroy(t->scene);
     bake_effects_free(t->variant);
     free(t->media);
-    bake_spectral_destroy(t->spectral);
+    lum_wave_tables_destroy(t->spectral);
     free(t);
 }
 
@@ -147,7 +147,7 @@ static tracer_medium *list_media(const lum_model *model)
 static uint32_t needed_features(const lum_model *model, const tracer_medium *media)
 {
     uint32_t features = (model->colors ? TRACER_TEXTURES : 0) | (model->volume_count > 0 ? TRACER_MEDIA : 0) |
-                        (bake_is_spectral(model) ? TRACER_SPECTRAL : 0);
+                        (lum_model_is_spectral(model) ? TRACER_SPECTRAL : 0);
     for (uint32_t i = 0; i < model->material_count; ++i) {
         const lum_material *m = &model->materials[i];
         if (lum_material_is_textured(m))
@@ -231,8 +231,8 @@ lmg_result bake_tracer_create_with(const struct lum_model *model, uint32_t effec
         t->features = features;
         t->polarized = features & TRACER_POLARIZATION;
         t->kernel = choose_kernel(features);
-        if (bake_is_spectral(t->model))
-            result = bake_spectral_create(t->model, &t->spectral, err);
+        if (lum_model_is_spectral(t->model))
+            result = lum_wave_tables_create(t->model, &t->spectral, err);
     }
     if (result == LMG_OK) {
         result = build(t, model, (const tracer *)like, err);

@@ -51,7 +51,7 @@ enum { MAX_PENDING = 512 };
 typedef struct path {
     double colour[3]; /* luminance 1 */
 #if KERNEL_FEATURES & TRACER_SPECTRAL
-    bake_waves waves; /* instead of colour, when the tracer has spectral tables */
+    lum_waves waves; /* instead of colour, when the tracer has spectral tables */
     int64_t units;    /* its luminance */
 #endif
     lum_rng rng;
@@ -200,21 +200,21 @@ static inline bool survives_loss(worker *w, path *p, double importance, double l
 }
 
 /* After an event that leaves a share of each wave. */
-static inline bool survives(worker *w, path *p, const float share[BAKE_WAVES])
+static inline bool survives(worker *w, path *p, const float share[LUM_WAVES])
 {
     double luminance;
-    const double importance = bake_waves_weigh(&p->waves, share, &luminance);
+    const double importance = lum_waves_weigh(&p->waves, share, &luminance);
     return survives_loss(w, p, importance, luminance);
 }
 
 /* A surface that leaves R,G,B. */
 static inline bool survives_surface(const tracer *t, worker *w, path *p, int32_t material, const lum_scattered *s)
 {
-    const bake_spectral_material *m = &t->spectral->materials[material];
-    if (m->tint == BAKE_TINT_RGB && s->weight[0] == s->weight[1] && s->weight[1] == s->weight[2])
+    const lum_wave_material *m = &t->spectral->materials[material];
+    if (m->tint == LUM_TINT_RGB && s->weight[0] == s->weight[1] && s->weight[1] == s->weight[2])
         return s->weight[0] == 1 || survives_loss(w, p, (double)s->weight[0], (double)s->weight[0]);
-    float share[BAKE_WAVES];
-    bake_waves_scattered(t->spectral, material, (s->event & LUM_REFLECTED) != 0, s->weight, &p->waves, share);
+    float share[LUM_WAVES];
+    lum_waves_scattered(t->spectral, material, (s->event & LUM_REFLECTED) != 0, s->weight, &p->waves, share);
     return survives(w, p, share);
 }
 
@@ -227,7 +227,7 @@ static inline bool choose_wave(const tracer *t, worker *w, path *p, int32_t mate
 #endif
     if (!refracts || p->waves.count == 1)
         return true;
-    return change_luminance(w, p, bake_waves_choose(&p->waves, lum_rng_next(&p->rng)));
+    return change_luminance(w, p, lum_waves_choose(&p->waves, lum_rng_next(&p->rng)));
 }
 
 /*
@@ -235,14 +235,14 @@ static inline bool choose_wave(const tracer *t, worker *w, path *p, int32_t mate
  * sides; what it doesn't take goes on to be scattered.  One of the two is followed, in proportion to its importance.  Returns
  * whether anything is left; *converted: which of them.
  */
-static inline bool meet_phosphor(const tracer *t, worker *w, path *p, const bake_phosphor *phosphor, bool *converted)
+static inline bool meet_phosphor(const tracer *t, worker *w, path *p, const lum_phosphor *phosphor, bool *converted)
 {
-    bake_waves *waves = &p->waves;
+    lum_waves *waves = &p->waves;
     double taken = 0, rest = 0, before = 0; /* luminance emitted; importances */
-    float share[BAKE_WAVES];
+    float share[LUM_WAVES];
     for (uint32_t i = 0; i < waves->count; ++i) {
         const double nm = (double)waves->nm[i], a = lum_spectrum_at(phosphor->excitation, nm), s = (double)waves->share[i];
-        taken += s * a * bake_phosphor_gain(t->spectral, phosphor, nm);
+        taken += s * a * lum_phosphor_gain(t->spectral, phosphor, nm);
         share[i] = (float)(1 - a);
         rest += s * (double)share[i] * (double)waves->importance[i];
         before += s * (double)waves->importance[i];
@@ -255,9 +255,9 @@ static inline bool meet_phosphor(const tracer *t, worker *w, path *p, const bake
     double luminance;
     if (*converted) {
         luminance = taken / emitted * all;
-        luminance *= bake_waves_draw(t->spectral, &phosphor->light, lum_rng_next(&p->rng), waves);
+        luminance *= lum_waves_draw(t->spectral, &phosphor->light, lum_rng_next(&p->rng), waves);
     } else {
-        bake_waves_weigh(waves, share, &luminance);
+        lum_waves_weigh(waves, share, &luminance);
         luminance *= all / rest;
     }
     /* Of a lone wave that stays as it is, survives_loss keeps the luminance. */
@@ -372,7 +372,7 @@ static float index_outside(const tracer *t, const path *p, int32_t material, boo
     const float index = t->media[p->inside[n - 1]].ior;
 #if KERNEL_FEATURES & TRACER_SPECTRAL
     if (t->spectral)
-        return bake_waves_index(t->spectral, p->inside[n - 1], &p->waves, index);
+        return lum_waves_index(t->spectral, p->inside[n - 1], &p->waves, index);
 #endif
     return index;
 }
@@ -403,7 +403,7 @@ static inline void escape(const tracer *t, worker *w, uint32_t i)
     if (t->spectral) {
         w->counts.escaped_squares += llround((double)p->units * (double)p->units / TRACER_UNITS(KERNEL_FEATURES));
         double rgb[3];
-        bake_waves_rgb(t->spectral, &p->waves, rgb);
+        lum_waves_rgb(t->spectral, &p->waves, rgb);
         for (int k = 0; k < 3; ++k)
             ray->flux[k] = (float)(rgb[k] * (double)p->units / TRACER_UNITS(KERNEL_FEATURES));
         ray->wavelength = p->waves.count == 1 ? p->waves.nm[0] : 0;
@@ -420,8 +420,8 @@ static inline uint32_t fly(const tracer *t, worker *w, uint32_t i, double length
         const tracer_medium *m = &t->media[p->inside[p->nested - 1]];
 #if KERNEL_FEATURES & TRACER_SPECTRAL
         if (m->absorbs && t->spectral) {
-            float share[BAKE_WAVES];
-            bake_waves_absorbed(t->spectral, p->inside[p->nested - 1], m->absorption, length, &p->waves, share);
+            float share[LUM_WAVES];
+            lum_waves_absorbed(t->spectral, p->inside[p->nested - 1], m->absorption, length, &p->waves, share);
             return survives(w, p, share);
         }
 #endif
@@ -490,21 +490,21 @@ static lmg_vec3 scattering_place(lmg_vec3 origin, lmg_vec3 d, double t, const lu
 static inline uint32_t fly_waves(const tracer *t, worker *w, uint32_t i, const tracer_medium *m, double length, lum_flight *flight)
 {
     path *p = &w->path[i];
-    float share[BAKE_WAVES];
+    float share[LUM_WAVES];
     if (m) {
         const bool passed =
-            bake_waves_fly(t->spectral, p->inside[p->nested - 1], &m->inside, length, &p->rng, &p->waves, share, &flight->t);
+            lum_waves_fly(t->spectral, p->inside[p->nested - 1], &m->inside, length, &p->rng, &p->waves, share, &flight->t);
         flight->event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED;
         flight->g = m->inside.g;
     } else {
         double colours[3];
-        bake_waves_colours(t->spectral, &p->waves, colours);
+        lum_waves_colours(t->spectral, &p->waves, colours);
         lum_volumes_fly(t->volumes, w->origin[i], w->direction[i], length, colours, &p->rng, flight);
         if (flight->event == LUM_FLIGHT_ABSORBED) {
             w->counts.absorbed += p->units;
             return 0;
         }
-        bake_waves_factors(t->spectral, flight->factor, &p->waves, share);
+        lum_waves_factors(t->spectral, flight->factor, &p->waves, share);
     }
     return survives(w, p, share);
 }
@@ -584,10 +584,10 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, lum_surface 
 #if KERNEL_FEATURES & TRACER_SPECTRAL
     bool converted = false;
     if (t->spectral) {
-        const bake_spectral_material *m = &t->spectral->materials[material];
+        const lum_wave_material *m = &t->spectral->materials[material];
         if (!choose_wave(t, w, p, material))
             return 0;
-        surface->ior = bake_waves_index(t->spectral, material, &p->waves, surface->ior);
+        surface->ior = lum_waves_index(t->spectral, material, &p->waves, surface->ior);
         if (m->phosphor) {
             if (!meet_phosphor(t, w, p, m->phosphor, &converted))
                 return 0;
@@ -749,7 +749,7 @@ static inline bool start(const tracer *t, worker *w, uint32_t i)
     if (t->spectral) {
         const float rgb[3] = {(float)p->colour[0], (float)p->colour[1], (float)p->colour[2]};
         const double wave = lum_rng_next(&p->rng);
-        return change_luminance(w, p, bake_waves_emit(t->spectral, drawn->material[k], rgb, wave, &p->waves));
+        return change_luminance(w, p, lum_waves_emit(t->spectral, drawn->material[k], rgb, wave, &p->waves));
     }
 #else
     (void)t;

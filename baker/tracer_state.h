@@ -14,7 +14,7 @@
 #define BAKER_TRACER_STATE_H
 
 #include "parallel.h"
-#include "spectral.h"
+#include <luminaires/waves.h>
 #include "source.h"
 
 #include <luminaires/medium.h>
@@ -30,7 +30,7 @@
 #define TRACER_ABSORPTION 8u   /* inside solids; needs TRACER_SOLIDS */
 #define TRACER_POLARIZATION 16u /* photons carry a polarization from one specular event to the next */
 #define TRACER_MEDIA 32u       /* scattering on the way: inside solids and in volumes; needs TRACER_SOLIDS, TRACER_ABSORPTION */
-#define TRACER_SPECTRAL 64u    /* light by wavelength (spectral.h), where the tracer has the tables for it */
+#define TRACER_SPECTRAL 64u    /* light by wavelength (luminaires/waves.h), where the tracer has the tables for it */
 #define TRACER_SURVEY (1u << 31) /* notes which effects each photon meets, and where it ends: for the plan, not for a bake */
 
 /* What the loop needs of a material, in one cache line per few materials. */
@@ -59,7 +59,7 @@ typedef struct tracer {
     tracer_medium *media; /* per material */
     lum_volumes *volumes; /* outside of solids; NULL = none */
     double near;          /* with media: how far beyond a scattering surfaces are looked for, so that none is passed by rounding */
-    bake_spectral *spectral; /* NULL: light of this model has R,G,B */
+    lum_wave_tables *spectral; /* NULL: light of this model has R,G,B */
     uint32_t features; /* needed for what is simulated */
     bool polarized;    /* polarization is */
     const tracer_kernel *kernel;

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Light by wavelength, for the photon tracer.
+ * Light by wavelength, for what follows light.
  *
- * A spectral path carries several wavelengths at once (BAKE_WAVES, spread evenly over the spectrum of its emitter), each with a
+ * A spectral path carries several wavelengths at once (LUM_WAVES, spread evenly over the spectrum of its emitter), each with a
  * share of its luminance.  Whatever treats all of them alike in direction - emission, reflection, absorption - weighs the shares;
  * where the direction depends on the wavelength one of them goes on alone [wilkie2014hero].
  *
@@ -12,125 +12,125 @@
  * while a light's blue or red has at most a few times the variance of its luminance.  Where a phosphor converts light, what it would
  * become counts too: its luminance.  So a path's luminance isn't always 1: its importance stays about the same.
  */
-#ifndef BAKER_SPECTRAL_H
-#define BAKER_SPECTRAL_H
+#ifndef LUMINAIRES_WAVES_H
+#define LUMINAIRES_WAVES_H
 
 #include <luminaires/medium.h>
 #include <luminaires/model.h>
 
-enum { BAKE_WAVES = 8, BAKE_WAVE_KNOTS = 128 };
+enum { LUM_WAVES = 8, LUM_WAVE_KNOTS = 128 };
 
-/* The wavelengths of a path: count is BAKE_WAVES, or 1 after its light was spread. */
-typedef struct bake_waves {
+/* The wavelengths of a path: count is LUM_WAVES, or 1 after its light was spread. */
+typedef struct lum_waves {
     uint32_t count;
-    float nm[BAKE_WAVES];
-    float share[BAKE_WAVES];      /* of the path's luminance; together 1 */
-    float importance[BAKE_WAVES]; /* mu */
-} bake_waves;
+    float nm[LUM_WAVES];
+    float share[LUM_WAVES];      /* of the path's luminance; together 1 */
+    float importance[LUM_WAVES]; /* mu */
+} lum_waves;
 
 /* A spectrum to draw wavelengths from. */
-typedef struct bake_light {
+typedef struct lum_wave_light {
     lum_spectrum luminance;                        /* per nm, integral 1 */
-    float knots[BAKE_WAVES * BAKE_WAVE_KNOTS + 1]; /* nm; equal steps of importance */
+    float knots[LUM_WAVES * LUM_WAVE_KNOTS + 1]; /* nm; equal steps of importance */
     double efficacy;                               /* lm/W */
     double mean_nm;                                /* of the power */
-} bake_light;
+} lum_wave_light;
 
 /* A thin layer that converts light: see lum_spectral. */
-typedef struct bake_phosphor {
+typedef struct lum_phosphor {
     const lum_spectrum *excitation;
-    bake_light light;
+    lum_wave_light light;
     double gain;       /* luminance emitted per luminance absorbed, times y over nm at the wavelength absorbed */
     double importance; /* mean of mu over the emitted luminance */
     double forward;
-} bake_phosphor;
+} lum_phosphor;
 
 /* How to weigh what a surface leaves of light, beside the R,G,B that scattering gives. */
-typedef enum bake_tint {
-    BAKE_TINT_RGB,       /* R,G,B stands for a spectrum (lum_colour_basis) */
-    BAKE_TINT_DIFFUSE,   /* reflectance and transmittance by wavelength */
-    BAKE_TINT_MIRROR,    /* reflectance by wavelength at all angles */
-    BAKE_TINT_CONDUCTOR  /* complex index by wavelength */
-} bake_tint;
+typedef enum lum_tint {
+    LUM_TINT_RGB,       /* R,G,B stands for a spectrum (lum_colour_basis) */
+    LUM_TINT_DIFFUSE,   /* reflectance and transmittance by wavelength */
+    LUM_TINT_MIRROR,    /* reflectance by wavelength at all angles */
+    LUM_TINT_CONDUCTOR  /* complex index by wavelength */
+} lum_tint;
 
-typedef struct bake_spectral_material {
-    bake_tint tint;
+typedef struct lum_wave_material {
+    lum_tint tint;
     bool refracts; /* boundary of a solid whose index depends on the wavelength */
     const lum_spectrum *index, *absorption;
     lum_spectrum reflectance, transmittance; /* as the tint needs them; of the diffuse ones, over the chance of either side */
     float rgb_reflectance[3];                /* what R,G,B scattering takes for it */
     int brightest;                           /* of these, for mirrors */
-    bake_light *emission;                    /* NULL: its R,G,B */
-    bake_phosphor *phosphor;                 /* NULL: none */
-} bake_spectral_material;
+    lum_wave_light *emission;                    /* NULL: its R,G,B */
+    lum_phosphor *phosphor;                 /* NULL: none */
+} lum_wave_material;
 
-typedef struct bake_spectral {
+typedef struct lum_wave_tables {
     uint32_t material_count;
-    bake_spectral_material *materials;
+    lum_wave_material *materials;
     lum_spectrum basis[3];   /* lum_colour_basis */
     lum_spectrum observer;   /* y */
     lum_spectrum colour[3];  /* linear Rec.709 of monochromatic light of luminance y */
     lum_spectrum importance; /* mu */
-    bake_light white;        /* D65 */
+    lum_wave_light white;        /* D65 */
     double white_rgb[3];     /* what basis times white add up to, of luminance 1 */
-} bake_spectral;
+} lum_wave_tables;
 
 /* Whether light in the model has to be followed by wavelength: something in it spreads light, converts it, or acts on it by a
  * spectrum rather than by R,G,B. */
-bool bake_is_spectral(const lum_model *model);
+bool lum_model_is_spectral(const lum_model *model);
 
 /* The tables of a model, borrowed until destroy. */
-lmg_result bake_spectral_create(const lum_model *model, bake_spectral **out, lmg_error *err);
-void bake_spectral_destroy(bake_spectral *spectral);
+lmg_result lum_wave_tables_create(const lum_model *model, lum_wave_tables **out, lmg_error *err);
+void lum_wave_tables_destroy(lum_wave_tables *spectral);
 
 /* Draws wavelengths for light of an emitter: of material's spectrum, or of R,G,B with luminance 1.  u in [0,1).  Returns the path's
  * luminance, of mean 1; 0 if there is none at these wavelengths. */
-double bake_waves_emit(const bake_spectral *spectral, int32_t material, const float rgb[3], double u, bake_waves *out);
+double lum_waves_emit(const lum_wave_tables *spectral, int32_t material, const float rgb[3], double u, lum_waves *out);
 
 /* The same from a light's spectrum. */
-double bake_waves_draw(const bake_spectral *spectral, const bake_light *light, double u, bake_waves *out);
+double lum_waves_draw(const lum_wave_tables *spectral, const lum_wave_light *light, double u, lum_waves *out);
 
 /* Luminance that a phosphor emits per luminance that it absorbs at a wavelength. */
-static inline double bake_phosphor_gain(const bake_spectral *spectral, const bake_phosphor *phosphor, double nm)
+static inline double lum_phosphor_gain(const lum_wave_tables *spectral, const lum_phosphor *phosphor, double nm)
 {
     return phosphor->gain * nm / lum_spectrum_at(&spectral->observer, nm);
 }
 
 /* R,G,B of the waves at luminance 1. */
-void bake_waves_rgb(const bake_spectral *spectral, const bake_waves *waves, double rgb[3]);
+void lum_waves_rgb(const lum_wave_tables *spectral, const lum_waves *waves, double rgb[3]);
 
 /* What a surface leaves of each wave: by its spectra, or by R,G,B.  reflected: as against transmitted. */
-void bake_waves_scattered(const bake_spectral *spectral, int32_t material, bool reflected, const float rgb[3], const bake_waves *waves,
-                          float share[BAKE_WAVES]);
+void lum_waves_scattered(const lum_wave_tables *spectral, int32_t material, bool reflected, const float rgb[3], const lum_waves *waves,
+                          float share[LUM_WAVES]);
 
 /* What the inside of a solid leaves along a length, metres; absorption in R,G,B where it has no spectrum. */
-void bake_waves_absorbed(const bake_spectral *spectral, int32_t material, const double absorption[3], double length,
-                         const bake_waves *waves, float share[BAKE_WAVES]);
+void lum_waves_absorbed(const lum_wave_tables *spectral, int32_t material, const double absorption[3], double length,
+                         const lum_waves *waves, float share[LUM_WAVES]);
 
 /*
  * A flight of the waves through a homogeneous medium inside a solid, whose coefficients in R,G,B stand for spectra: passes `length` or ends in a
  * collision at *t.  Distances are drawn for the mixture of the waves, in proportion to importance; share: what that leaves of each
  * wave, on average over the flights exactly the medium's (the balance heuristic, as lum_medium_fly has it).  Returns whether it passed.
  */
-bool bake_waves_fly(const bake_spectral *spectral, int32_t material, const lum_medium *medium, double length, lum_rng *rng, const bake_waves *waves,
-                    float share[BAKE_WAVES], double *t);
+bool lum_waves_fly(const lum_wave_tables *spectral, int32_t material, const lum_medium *medium, double length, lum_rng *rng, const lum_waves *waves,
+                    float share[LUM_WAVES], double *t);
 
 /* For flights that are drawn in R,G,B (lum_volumes_fly): the waves' importance as shares of the three colours, adding up to 1; and
  * what the flight's factors leave of each wave. */
-void bake_waves_colours(const bake_spectral *spectral, const bake_waves *waves, double colours[3]);
-void bake_waves_factors(const bake_spectral *spectral, const double factor[3], const bake_waves *waves, float share[BAKE_WAVES]);
+void lum_waves_colours(const lum_wave_tables *spectral, const lum_waves *waves, double colours[3]);
+void lum_waves_factors(const lum_wave_tables *spectral, const double factor[3], const lum_waves *waves, float share[LUM_WAVES]);
 
 /* One wave goes on alone, chosen by u in proportion to its importance: returns the factor on the path's luminance, of mean 1. */
-double bake_waves_choose(bake_waves *waves, double u);
+double lum_waves_choose(lum_waves *waves, double u);
 
 /*
  * Weighs the waves with what an event leaves of each.  *luminance: the factor on the path's luminance; the shares add up to 1
  * again.  Returns the factor on its importance (0: nothing is left), with which the path should survive where it is below 1.
  */
-double bake_waves_weigh(bake_waves *waves, const float share[BAKE_WAVES], double *luminance);
+double lum_waves_weigh(lum_waves *waves, const float share[LUM_WAVES], double *luminance);
 
 /* Index of refraction of a solid at the first wave. */
-static inline float bake_waves_index(const bake_spectral *spectral, int32_t material, const bake_waves *waves, float otherwise)
+static inline float lum_waves_index(const lum_wave_tables *spectral, int32_t material, const lum_waves *waves, float otherwise)
 {
     const lum_spectrum *index = spectral->materials[material].index;
     return index ? (float)lum_spectrum_at(index, (double)waves->nm[0]) : otherwise;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Light by wavelength, for the photon tracer (spectral.h).  Relies on luminaires/spectrum.h for spectra and colours. */
-#include "spectral.h"
+/* Light by wavelength (waves.h).  Relies on luminaires/spectrum.h for spectra and colours. */
+#include <luminaires/waves.h>
 
 #include <luminaires/scatter.h>
 
@@ -26,7 +26,7 @@ static bool spreads(const lum_material *m)
     return m->kind == LUM_SURFACE_PBR && !m->thin && m->transmission > 0 && varies(m->spectral.index);
 }
 
-bool bake_is_spectral(const lum_model *model)
+bool lum_model_is_spectral(const lum_model *model)
 {
     bool emission = false, metal = false;
     for (uint32_t i = 0; i < model->material_count; ++i) {
@@ -57,9 +57,9 @@ static double integral(const lum_spectrum *a, const lum_spectrum *b)
 
 /* Light to draw from: its luminance per nm, and wavelengths in equal steps of importance.  Between knots wavelengths are spread
  * evenly, which is a density of its own and makes weights exact whatever the knots. */
-static void make_light(const bake_spectral *spectral, const lum_spectrum *power, bake_light *light)
+static void make_light(const lum_wave_tables *spectral, const lum_spectrum *power, lum_wave_light *light)
 {
-    enum { KNOTS = BAKE_WAVES * BAKE_WAVE_KNOTS };
+    enum { KNOTS = LUM_WAVES * LUM_WAVE_KNOTS };
     double nm_power = 0;
     for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
         double o[3];
@@ -93,7 +93,7 @@ static void make_light(const bake_spectral *spectral, const lum_spectrum *power,
     }
 }
 
-static void make_observer_tables(bake_spectral *s, const lum_model *model)
+static void make_observer_tables(lum_wave_tables *s, const lum_model *model)
 {
     lum_spectrum white;
     double xyz[3];
@@ -138,9 +138,9 @@ static void make_observer_tables(bake_spectral *s, const lum_model *model)
     }
 }
 
-static lmg_result make_phosphor(bake_spectral *s, const lum_material *m, bake_spectral_material *out, lmg_error *err)
+static lmg_result make_phosphor(lum_wave_tables *s, const lum_material *m, lum_wave_material *out, lmg_error *err)
 {
-    bake_phosphor *p = out->phosphor = calloc(1, sizeof *p);
+    lum_phosphor *p = out->phosphor = calloc(1, sizeof *p);
     if (!p)
         return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for spectra");
     p->excitation = m->spectral.excitation;
@@ -152,7 +152,7 @@ static lmg_result make_phosphor(bake_spectral *s, const lum_material *m, bake_sp
     return LMG_OK;
 }
 
-static lmg_result make_material(bake_spectral *s, const lum_material *m, bake_spectral_material *out, lmg_error *err)
+static lmg_result make_material(lum_wave_tables *s, const lum_material *m, lum_wave_material *out, lmg_error *err)
 {
     const lum_spectral *from = &m->spectral;
     out->index = spreads(m) ? from->index : NULL;
@@ -165,20 +165,20 @@ static lmg_result make_material(bake_spectral *s, const lum_material *m, bake_sp
             return result;
     }
     if (m->kind == LUM_SURFACE_CONDUCTOR && from->eta && from->k) {
-        out->tint = BAKE_TINT_CONDUCTOR;
+        out->tint = LUM_TINT_CONDUCTOR;
         for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i)
             out->reflectance.value[i] = (float)lum_fresnel_conductor(1, (double)from->eta->value[i], (double)from->k->value[i]);
         for (int c = 0; c < 3; ++c)
             out->rgb_reflectance[c] = (float)lum_fresnel_conductor(1, (double)m->eta[c], (double)m->k[c]);
     } else if (m->kind == LUM_SURFACE_CONDUCTOR && from->reflectance) {
-        out->tint = BAKE_TINT_MIRROR;
+        out->tint = LUM_TINT_MIRROR;
         for (int c = 1; c < 3; ++c)
             out->brightest = m->base_color[c] > m->base_color[out->brightest] ? c : out->brightest;
         out->reflectance = *from->reflectance;
     } else if (from->reflectance || from->transmittance) {
         /* Scattering chooses the far side with the chance d. */
         const double d = (double)m->diffuse_transmission;
-        out->tint = BAKE_TINT_DIFFUSE;
+        out->tint = LUM_TINT_DIFFUSE;
         for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
             out->reflectance.value[i] = from->reflectance && d < 1 ? (float)((double)from->reflectance->value[i] / (1 - d)) : 0;
             out->transmittance.value[i] = from->transmittance && d > 0 ? (float)((double)from->transmittance->value[i] / d) : 0;
@@ -193,11 +193,11 @@ static lmg_result make_material(bake_spectral *s, const lum_material *m, bake_sp
     return LMG_OK;
 }
 
-lmg_result bake_spectral_create(const lum_model *model, bake_spectral **out, lmg_error *err)
+lmg_result lum_wave_tables_create(const lum_model *model, lum_wave_tables **out, lmg_error *err)
 {
     lum_spectrum white;
     *out = NULL;
-    bake_spectral *s = calloc(1, sizeof *s);
+    lum_wave_tables *s = calloc(1, sizeof *s);
     if (s)
         s->materials = calloc((size_t)model->material_count + 1, sizeof *s->materials);
     lmg_result result = s && s->materials ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for spectra");
@@ -210,14 +210,14 @@ lmg_result bake_spectral_create(const lum_model *model, bake_spectral **out, lmg
     for (uint32_t i = 0; i < model->material_count && !result; ++i)
         result = make_material(s, &model->materials[i], &s->materials[i], err);
     if (result) {
-        bake_spectral_destroy(s);
+        lum_wave_tables_destroy(s);
         return result;
     }
     *out = s;
     return LMG_OK;
 }
 
-void bake_spectral_destroy(bake_spectral *spectral)
+void lum_wave_tables_destroy(lum_wave_tables *spectral)
 {
     if (!spectral)
         return;
@@ -232,52 +232,52 @@ void bake_spectral_destroy(bake_spectral *spectral)
 /* ------------------------------------------------------------------------------------------------------------- drawing */
 
 /* Wavelengths at the same place of each eighth of the light's importance, and how many nm each stands for. */
-static void draw(const bake_light *light, double u, bake_waves *out, double stands_for[BAKE_WAVES])
+static void draw(const lum_wave_light *light, double u, lum_waves *out, double stands_for[LUM_WAVES])
 {
-    const double x = u * BAKE_WAVE_KNOTS;
+    const double x = u * LUM_WAVE_KNOTS;
     int k = (int)x;
-    k = k < BAKE_WAVE_KNOTS ? k : BAKE_WAVE_KNOTS - 1;
+    k = k < LUM_WAVE_KNOTS ? k : LUM_WAVE_KNOTS - 1;
     const double f = x - k;
-    out->count = BAKE_WAVES;
-    for (int i = 0; i < BAKE_WAVES; ++i) {
-        const float *knot = &light->knots[i * BAKE_WAVE_KNOTS + k];
+    out->count = LUM_WAVES;
+    for (int i = 0; i < LUM_WAVES; ++i) {
+        const float *knot = &light->knots[i * LUM_WAVE_KNOTS + k];
         const double step = (double)knot[1] - (double)knot[0];
         out->nm[i] = (float)((double)knot[0] + f * step);
-        stands_for[i] = step * BAKE_WAVE_KNOTS;
+        stands_for[i] = step * LUM_WAVE_KNOTS;
     }
 }
 
 /* Shares of 1 from luminances; returns their sum. */
-static double normalize(const bake_spectral *spectral, const double luminance[BAKE_WAVES], bake_waves *out)
+static double normalize(const lum_wave_tables *spectral, const double luminance[LUM_WAVES], lum_waves *out)
 {
     double sum = 0;
-    for (int i = 0; i < BAKE_WAVES; ++i)
+    for (int i = 0; i < LUM_WAVES; ++i)
         sum += luminance[i];
     if (!(sum > 0))
         return 0;
-    for (int i = 0; i < BAKE_WAVES; ++i) {
+    for (int i = 0; i < LUM_WAVES; ++i) {
         out->share[i] = (float)(luminance[i] / sum);
         out->importance[i] = (float)lum_spectrum_at(&spectral->importance, (double)out->nm[i]);
     }
     return sum;
 }
 
-double bake_waves_draw(const bake_spectral *spectral, const bake_light *light, double u, bake_waves *out)
+double lum_waves_draw(const lum_wave_tables *spectral, const lum_wave_light *light, double u, lum_waves *out)
 {
-    double luminance[BAKE_WAVES];
+    double luminance[LUM_WAVES];
     draw(light, u, out, luminance);
-    for (int i = 0; i < BAKE_WAVES; ++i)
+    for (int i = 0; i < LUM_WAVES; ++i)
         luminance[i] *= lum_spectrum_at(&light->luminance, (double)out->nm[i]);
     return normalize(spectral, luminance, out);
 }
 
-double bake_waves_emit(const bake_spectral *spectral, int32_t material, const float rgb[3], double u, bake_waves *out)
+double lum_waves_emit(const lum_wave_tables *spectral, int32_t material, const float rgb[3], double u, lum_waves *out)
 {
     if (material >= 0 && spectral->materials[material].emission)
-        return bake_waves_draw(spectral, spectral->materials[material].emission, u, out);
-    double luminance[BAKE_WAVES];
+        return lum_waves_draw(spectral, spectral->materials[material].emission, u, out);
+    double luminance[LUM_WAVES];
     draw(&spectral->white, u, out, luminance);
-    for (int i = 0; i < BAKE_WAVES; ++i) {
+    for (int i = 0; i < LUM_WAVES; ++i) {
         const double nm = (double)out->nm[i];
         double colour = 0;
         for (int c = 0; c < 3; ++c)
@@ -287,7 +287,7 @@ double bake_waves_emit(const bake_spectral *spectral, int32_t material, const fl
     return normalize(spectral, luminance, out);
 }
 
-void bake_waves_rgb(const bake_spectral *spectral, const bake_waves *waves, double rgb[3])
+void lum_waves_rgb(const lum_wave_tables *spectral, const lum_waves *waves, double rgb[3])
 {
     rgb[0] = rgb[1] = rgb[2] = 0;
     for (uint32_t i = 0; i < waves->count; ++i) {
@@ -317,28 +317,28 @@ static double between(const float rgb[3], double nm)
     return nm <= 465 ? b : nm <= 550 ? b + (nm - 465) / 85 * (g - b) : nm <= 610 ? g + (nm - 550) / 60 * (r - g) : r;
 }
 
-void bake_waves_scattered(const bake_spectral *spectral, int32_t material, bool reflected, const float rgb[3], const bake_waves *waves,
-                          float share[BAKE_WAVES])
+void lum_waves_scattered(const lum_wave_tables *spectral, int32_t material, bool reflected, const float rgb[3], const lum_waves *waves,
+                          float share[LUM_WAVES])
 {
-    const bake_spectral_material *m = &spectral->materials[material];
+    const lum_wave_material *m = &spectral->materials[material];
     for (uint32_t i = 0; i < waves->count; ++i) {
         const double nm = (double)waves->nm[i];
         switch (m->tint) {
-        case BAKE_TINT_DIFFUSE:
+        case LUM_TINT_DIFFUSE:
             share[i] = (float)lum_spectrum_at(reflected ? &m->reflectance : &m->transmittance, nm);
             break;
-        case BAKE_TINT_MIRROR:
+        case LUM_TINT_MIRROR:
             share[i] = (float)repeated(lum_spectrum_at(&m->reflectance, nm), (double)m->rgb_reflectance[m->brightest],
                                        (double)rgb[m->brightest]);
             break;
-        case BAKE_TINT_CONDUCTOR: {
+        case LUM_TINT_CONDUCTOR: {
             /* Exact at normal incidence at all wavelengths, and at all angles at three; between, absorptances scale alike. */
             const double known = 1 - between(m->rgb_reflectance, nm), here = 1 - lum_spectrum_at(&m->reflectance, nm);
             const double left = 1 - (1 - between(rgb, nm)) * (known > 0 ? here / known : 1);
             share[i] = left > 0 ? (float)left : 0;
             break;
         }
-        case BAKE_TINT_RGB:
+        case LUM_TINT_RGB:
         default:
             share[i] = rgb[1];
             if (rgb[0] != rgb[1] || rgb[2] != rgb[1])
@@ -349,8 +349,8 @@ void bake_waves_scattered(const bake_spectral *spectral, int32_t material, bool 
     }
 }
 
-void bake_waves_absorbed(const bake_spectral *spectral, int32_t material, const double absorption[3], double length,
-                         const bake_waves *waves, float share[BAKE_WAVES])
+void lum_waves_absorbed(const lum_wave_tables *spectral, int32_t material, const double absorption[3], double length,
+                         const lum_waves *waves, float share[LUM_WAVES])
 {
     const lum_spectrum *s = spectral->materials[material].absorption;
     for (uint32_t i = 0; i < waves->count; ++i) {
@@ -366,11 +366,11 @@ void bake_waves_absorbed(const bake_spectral *spectral, int32_t material, const 
     }
 }
 
-bool bake_waves_fly(const bake_spectral *spectral, int32_t material, const lum_medium *medium, double length, lum_rng *rng, const bake_waves *waves,
-                    float share[BAKE_WAVES], double *t)
+bool lum_waves_fly(const lum_wave_tables *spectral, int32_t material, const lum_medium *medium, double length, lum_rng *rng, const lum_waves *waves,
+                    float share[LUM_WAVES], double *t)
 {
     const lum_spectrum *absorption = spectral->materials[material].absorption;
-    double scattering[BAKE_WAVES], extinction[BAKE_WAVES], chance[BAKE_WAVES], all = 0;
+    double scattering[LUM_WAVES], extinction[LUM_WAVES], chance[LUM_WAVES], all = 0;
     for (uint32_t i = 0; i < waves->count; ++i) {
         scattering[i] = extinction[i] = 0;
         for (int c = 0; c < 3; ++c) {
@@ -389,7 +389,7 @@ bool bake_waves_fly(const bake_spectral *spectral, int32_t material, const lum_m
         u -= chance[chosen++];
     *t = extinction[chosen] > 0 ? -log1p(-lum_rng_next(rng)) / extinction[chosen] : (double)INFINITY;
     const bool passes = !(*t < length);
-    double density = 0, reach[BAKE_WAVES];
+    double density = 0, reach[LUM_WAVES];
     for (uint32_t i = 0; i < waves->count; ++i) {
         reach[i] = extinction[i] > 0 ? exp(-extinction[i] * (passes ? length : *t)) : 1;
         density += chance[i] / all * reach[i] * (passes ? 1 : extinction[i]);
@@ -399,7 +399,7 @@ bool bake_waves_fly(const bake_spectral *spectral, int32_t material, const lum_m
     return passes;
 }
 
-void bake_waves_colours(const bake_spectral *spectral, const bake_waves *waves, double colours[3])
+void lum_waves_colours(const lum_wave_tables *spectral, const lum_waves *waves, double colours[3])
 {
     double all = 0;
     colours[0] = colours[1] = colours[2] = 0;
@@ -413,7 +413,7 @@ void bake_waves_colours(const bake_spectral *spectral, const bake_waves *waves, 
         colours[c] /= all;
 }
 
-void bake_waves_factors(const bake_spectral *spectral, const double factor[3], const bake_waves *waves, float share[BAKE_WAVES])
+void lum_waves_factors(const lum_wave_tables *spectral, const double factor[3], const lum_waves *waves, float share[LUM_WAVES])
 {
     for (uint32_t i = 0; i < waves->count; ++i) {
         double sum = 0;
@@ -423,7 +423,7 @@ void bake_waves_factors(const bake_spectral *spectral, const double factor[3], c
     }
 }
 
-double bake_waves_choose(bake_waves *waves, double u)
+double lum_waves_choose(lum_waves *waves, double u)
 {
     if (waves->count == 1)
         return 1;
@@ -450,13 +450,13 @@ double bake_waves_choose(bake_waves *waves, double u)
     return factor;
 }
 
-double bake_waves_weigh(bake_waves *waves, const float share[BAKE_WAVES], double *luminance)
+double lum_waves_weigh(lum_waves *waves, const float share[LUM_WAVES], double *luminance)
 {
     if (waves->count == 1) {
         *luminance = (double)share[0];
         return (double)share[0];
     }
-    double before = 0, after = 0, light = 0, left[BAKE_WAVES];
+    double before = 0, after = 0, light = 0, left[LUM_WAVES];
     for (uint32_t i = 0; i < waves->count; ++i) {
         left[i] = (double)waves->share[i] * (double)share[i];
         light += left[i];
