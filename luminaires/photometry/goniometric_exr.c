@@ -8,8 +8,9 @@
 
 #include "text.h"
 
+#include <luminaires/scanlines.h>
+
 #include <math.h>
-#include <openexr.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,42 +28,14 @@ static lmg_vec3 direction_at(double u, double v)
     return (lmg_vec3){x, z, y};
 }
 
-static void keep_quiet(exr_const_context_t context, exr_result_t code, const char *message)
+static exr_result_t write_picture(exr_context_t file, float *pixels, uint32_t n)
 {
-    (void)context;
-    (void)code;
-    (void)message;
-}
-
-static exr_result_t write_picture(exr_context_t file, const float *pixels, uint32_t n)
-{
-    int part;
-    exr_result_t r = exr_add_part(file, "intensity", EXR_STORAGE_SCANLINE, &part);
-    r = r ? r : exr_initialize_required_attr_simple(file, part, (int32_t)n, (int32_t)n, EXR_COMPRESSION_ZIP);
-    r = r ? r : exr_add_channel(file, part, "Y", EXR_PIXEL_FLOAT, EXR_PERCEPTUALLY_LINEAR, 1, 1);
-    r = r ? r : exr_attr_set_string(file, part, "software", "Lumibox " LMG_VERSION_STRING);
-    r = r ? r : exr_attr_set_string(file, part, "unit", "cd, equal-area octahedral map, z up");
+    const lum_channel intensity = {.name = "Y", .values = pixels, .stride = 1};
+    exr_result_t r = lum_scanlines_add_part(file, "intensity", n, n, &intensity, 1);
+    r = r ? r : exr_attr_set_string(file, 0, "software", "Lumibox " LMG_VERSION_STRING);
+    r = r ? r : exr_attr_set_string(file, 0, "unit", "cd, equal-area octahedral map, z up");
     r = r ? r : exr_write_header(file);
-    int32_t lines = 1;
-    r = r ? r : exr_get_scanlines_per_chunk(file, part, &lines);
-    for (uint32_t y = 0; y < n && !r; y += (uint32_t)lines) {
-        exr_chunk_info_t chunk;
-        exr_encode_pipeline_t pipeline = EXR_ENCODE_PIPELINE_INITIALIZER;
-        r = exr_write_scanline_chunk_info(file, part, (int)y, &chunk);
-        r = r ? r : exr_encoding_initialize(file, part, &chunk, &pipeline);
-        if (r)
-            break;
-        exr_coding_channel_info_t *c = &pipeline.channels[0];
-        c->encode_from_ptr = (const uint8_t *)(pixels + (size_t)y * n);
-        c->user_bytes_per_element = sizeof(float);
-        c->user_data_type = EXR_PIXEL_FLOAT;
-        c->user_pixel_stride = sizeof(float);
-        c->user_line_stride = (int32_t)(n * sizeof(float));
-        r = exr_encoding_choose_default_routines(file, part, &pipeline);
-        r = r ? r : exr_encoding_run(file, part, &pipeline);
-        exr_encoding_destroy(file, &pipeline);
-    }
-    return r;
+    return r ? r : lum_scanlines_write(file, n, n, &intensity, 1);
 }
 
 lmg_result lum_goniometric_write(const lum_photometry *p, const char *path, uint32_t n, lmg_error *err)
@@ -85,8 +58,7 @@ lmg_result lum_goniometric_write(const lum_photometry *p, const char *path, uint
         pixels[i] = (float)(sum / (FINE * FINE));
     }
     sprintf(temporary, "%s.%ld.tmp", path, (long)getpid());
-    exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
-    init.error_handler_fn = keep_quiet;
+    const exr_context_initializer_t init = lum_scanlines_settings(n);
     exr_context_t file = NULL;
     exr_result_t r = exr_start_write(&file, temporary, EXR_WRITE_FILE_DIRECTLY, &init);
     if (!r) {
