@@ -62,6 +62,11 @@ static json_t *json_vec(lmg_vec3 v)
     return json_pack("[o,o,o]", json_number(v.x), json_number(v.y), json_number(v.z));
 }
 
+static const char *flux_unit(const lmg_field *field)
+{
+    return box_is_photometric(field) ? "lm" : "W";
+}
+
 static json_t *slab_json(const lmg_field *field, uint32_t i)
 {
     const lmg_slab *s = &lmg_field_layout(field)->slabs[i];
@@ -79,7 +84,7 @@ static json_t *slab_json(const lmg_field *field, uint32_t i)
     json_object_set_new(o, "s", json_pack("[f,f]", s->s0, s->s1));
     json_object_set_new(o, "t", json_pack("[f,f]", s->t0, s->t1));
     json_object_set_new(o, "cells", json_pack("[i,i,i,i]", (int)s->nu, (int)s->nv, (int)s->ns, (int)s->nt));
-    json_object_set_new(o, "flux_lm", json_number(flux));
+    json_object_set_new(o, box_is_photometric(field) ? "flux_lm" : "flux_W", json_number(flux));
     json_object_set_new(o, "flux_standard_error", json_number(error));
     return o;
 }
@@ -91,7 +96,7 @@ static json_t *info_json(const command *c, const lmg_field *field, uint64_t byte
     json_t *ledger = json_object();
     const struct {
         const char *name;
-        double lumens, error;
+        double flux, error;
     } shares[] = {
         {"emitted", l.emitted, l.emitted_se},    {"stored", l.stored, l.stored_se}, {"residual", l.residual, l.residual_se},
         {"absorbed", l.absorbed, l.absorbed_se}, {"lost", l.lost, l.lost_se},
@@ -100,7 +105,7 @@ static json_t *info_json(const command *c, const lmg_field *field, uint64_t byte
     for (size_t i = 0; i < sizeof(shares) / sizeof(shares[0]); ++i)
         json_object_set_new(
             ledger, shares[i].name,
-            json_pack("{s:o, s:o}", "lm", json_number(shares[i].lumens), "standard_error", json_number(shares[i].error)));
+            json_pack("{s:o, s:o}", flux_unit(field), json_number(shares[i].flux), "standard_error", json_number(shares[i].error)));
     json_t *slabs = json_array();
     for (uint32_t i = 0; i < y->slab_count; ++i)
         json_array_append_new(slabs, slab_json(field, i));
@@ -125,9 +130,9 @@ static json_t *info_json(const command *c, const lmg_field *field, uint64_t byte
     return o;
 }
 
-static void print_share(const char *name, double lumens, double error, double emitted)
+static void print_share(const char *name, const char *unit, double flux, double error, double emitted)
 {
-    printf("  %-9s %12.6g lm  +- %-9.2g %9.4f %%\n", name, lumens, error, 100 * lumens / emitted);
+    printf("  %-9s %12.6g %-2s  +- %-9.2g %9.4f %%\n", name, flux, unit, error, 100 * flux / emitted);
 }
 
 /* A long text in lines that start under each other. */
@@ -149,17 +154,18 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
 {
     const lmg_layout *y = lmg_field_layout(field);
     const lmg_ledger l = lmg_field_ledger(field);
+    const char *unit = flux_unit(field);
     printf("%s: %.1f MB, %.1f MB in memory\n", c->box, 1e-6 * (double)bytes, 1e-6 * (double)lmg_field_memory(field));
     printf("\nWhere the light went (%" PRIu64 " photons)\n", l.photons);
-    printf("  emitted   %12.6g lm\n", l.emitted);
-    print_share("stored", l.stored, l.stored_se, l.emitted);
-    print_share("residual", l.residual, l.residual_se, l.emitted);
-    print_share("absorbed", l.absorbed, l.absorbed_se, l.emitted);
-    print_share("lost", l.lost, l.lost_se, l.emitted);
+    printf("  emitted   %12.6g %s\n", l.emitted, unit);
+    print_share("stored", unit, l.stored, l.stored_se, l.emitted);
+    print_share("residual", unit, l.residual, l.residual_se, l.emitted);
+    print_share("absorbed", unit, l.absorbed, l.absorbed_se, l.emitted);
+    print_share("lost", unit, l.lost, l.lost_se, l.emitted);
     printf("\nLight field: %u slabs, %s, size %.4g m\n", y->slab_count, y->channels == 1 ? "one colour" : "R,G,B", y->size);
     printf("  bounds    %.5g %.5g %.5g to %.5g %.5g %.5g m\n", y->bounds_min.x, y->bounds_min.y, y->bounds_min.z, y->bounds_max.x,
            y->bounds_max.y, y->bounds_max.z);
-    printf("  slab kind     normal                 (u,v) plane at         u x v m              cells (u v s t)     flux lm\n");
+    printf("  slab kind     normal                 (u,v) plane at         u x v m              cells (u v s t)     flux %s\n", unit);
     for (uint32_t i = 0; i < y->slab_count; ++i) {
         const lmg_slab *s = &y->slabs[i];
         double error;

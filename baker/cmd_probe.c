@@ -31,19 +31,21 @@ static const char DOC[] =
 typedef struct mode {
     int key;
     size_t columns;
-    const char *names, *quantity, *unit;
+    const char *names;
+    const char *quantity[2], *unit[2]; /* of light in watts, of light in lumens */
 } mode;
 
 static const mode MODES[] = {
-    {KEY_POINTS, 6, "x,y,z,nx,ny,nz", "illuminance", "lx"},
-    {KEY_RAYS, 6, "ox,oy,oz,dx,dy,dz", "luminance", "cd_m2"},
-    {KEY_INTENSITY, 3, "dx,dy,dz", "intensity", "cd"},
+    {KEY_POINTS, 6, "x,y,z,nx,ny,nz", {"irradiance", "illuminance"}, {"W_m2", "lx"}},
+    {KEY_RAYS, 6, "ox,oy,oz,dx,dy,dz", {"radiance", "luminance"}, {"W_sr_m2", "cd_m2"}},
+    {KEY_INTENSITY, 3, "dx,dy,dz", {"intensity", "intensity"}, {"W_sr", "cd"}},
 };
 
 typedef struct command {
     const char *box, *table;
     const mode *mode;
     bool linear, json;
+    bool photometric; /* the box */
 } command;
 
 static error_t parse(int key, char *arg, struct argp_state *state)
@@ -128,7 +130,7 @@ static lmg_result measure(const command *c, const lmg_field *field, const double
 
 static void print_csv(const command *c, const table *t, const reading *readings)
 {
-    printf("%s,%s_%s,standard_error\n", c->mode->names, c->mode->quantity, c->mode->unit);
+    printf("%s,%s_%s,standard_error\n", c->mode->names, c->mode->quantity[c->photometric], c->mode->unit[c->photometric]);
     for (size_t i = 0; i < t->rows; ++i) {
         for (size_t k = 0; k < t->columns; ++k)
             printf("%.10g,", t->values[i * t->columns + k]);
@@ -148,8 +150,9 @@ static json_t *readings_json(const command *c, const table *t, const reading *re
                                               "standard_error", json_number(r->standard_error), "rgb", json_number(r->rgb[0]),
                                               json_number(r->rgb[1]), json_number(r->rgb[2])));
     }
-    return json_pack("{s:s, s:s, s:s, s:s, s:s, s:o}", "format", "lumibake probe 1", "box", c->box, "quantity", c->mode->quantity,
-                     "unit", c->mode->unit, "columns", c->mode->names, "rows", rows);
+    return json_pack("{s:s, s:s, s:s, s:s, s:s, s:o}", "format", "lumibake probe 1", "box", c->box, "quantity",
+                     c->mode->quantity[c->photometric], "unit", c->mode->unit[c->photometric], "columns", c->mode->names, "rows",
+                     rows);
 }
 
 static int probe(const command *c, const lmg_field *field, const table *t)
@@ -200,6 +203,7 @@ int cmd_probe(int argc, char **argv)
         return report_error(result, &err);
     lmg_field *field = NULL;
     result = lmg_field_read(c.box, &field, &err);
+    c.photometric = result != LMG_OK || box_is_photometric(field);
     const int code = result == LMG_OK ? probe(&c, field, &t) : report_error(result, &err);
     lmg_field_destroy(field);
     table_free(&t);

@@ -2,6 +2,7 @@
 /* What a comparison says, computed from the readings of both sources: differences, measures, distances.  Measuring: compare.c. */
 #include "compare_inside.h"
 
+#include <luminaires/photometry.h>
 #include <luminaires/spectrum.h>
 
 #include <math.h>
@@ -52,7 +53,6 @@ bake_difference bake_differ(const double *a, const double *a_se, const double *b
     return r;
 }
 
-
 static void mean_and_error(const reading *r, double *mean, double *se)
 {
     for (size_t i = 0; i < r->count; ++i) {
@@ -90,8 +90,8 @@ bake_difference differ(const reading *a, const reading *b)
 
 /* ------------------------------------------------------------------------------------------------------------- figures */
 
-/* Everything that is jackknifed, as one array of doubles: the values of the measures (a, b, difference), and the deviations from the
- * far field. */
+/* Everything that is jackknifed, as one array of doubles: the values of the measures (a, b, difference), and the deviations from
+ * the far field. */
 typedef struct figures {
     double measure[BAKE_MAX_MEASURES][3];
     double deviation[2][NEAR_RINGS * BAKE_RADII];
@@ -174,15 +174,12 @@ static double ring_solid_angle(uint32_t ring, uint32_t rings, uint32_t sectors)
     return 2 * PI / sectors * (cos(PI * ring / rings) - cos(PI * (ring + 1) / rings));
 }
 
-/* Bergen's fit [Lighting Res. Technol. 44, 2012] of two distributions on the same grid, 100 for equal ones. */
 static double bergen_fit(const double *a, const double *b, size_t count)
 {
-    double d = 0, s = 0;
-    for (size_t i = 0; i < count; ++i) {
-        d += (a[i] - b[i]) * (a[i] - b[i]);
-        s += (a[i] + b[i]) * (a[i] + b[i]);
-    }
-    return 100 * (1 - sqrt(d / s));
+    lum_bergen fit = {0};
+    for (size_t i = 0; i < count; ++i)
+        lum_bergen_add(&fit, a[i], b[i], 1);
+    return lum_bergen_fit(&fit);
 }
 
 /* Intensity over the polar angle, mean of the sectors. */
@@ -376,8 +373,10 @@ static void compute(const means m[2], catalogue *c, figures *f)
     put_pair(c, f, &n, "Bergen's fit, by solid angle", "", bergen_fit(far[0], far[1], RINGS * SECTORS), 100);
 
     const double *far_rgb[2] = {m[0].rgb[planes + FAR_FIELD], m[1].rgb[planes + FAR_FIELD]};
-    put_pair(c, f, &n, "colour of all light", "u'v'", mean_colour_distance(far_rgb[0], far_rgb[1], RINGS * SECTORS, one_group, 1), 0);
-    put_pair(c, f, &n, "colour over angle", "u'v'", mean_colour_distance(far_rgb[0], far_rgb[1], RINGS * SECTORS, far_group, 64), 0);
+    put_pair(c, f, &n, "colour of all light", "u'v'", mean_colour_distance(far_rgb[0], far_rgb[1], RINGS * SECTORS, one_group, 1),
+             0);
+    put_pair(c, f, &n, "colour over angle", "u'v'", mean_colour_distance(far_rgb[0], far_rgb[1], RINGS * SECTORS, far_group, 64),
+             0);
     put_pair(c, f, &n, "colour over position", "u'v'",
              mean_colour_distance(m[0].rgb[0], m[1].rgb[0], PIXELS * PIXELS, plane_group, 64), 0);
 
@@ -511,8 +510,13 @@ static void add_focus(bake_comparison *out)
     const double eb[3] = {fb->standard_error.x, fb->standard_error.y, fb->standard_error.z};
     for (int k = 0; k < 3 && out->measure_count < BAKE_MAX_MEASURES; ++k) {
         bake_measure *m = &out->measures[out->measure_count++];
-        *m = (bake_measure){.unit = "mm", .a = 1e3 * a[k], .a_se = 1e3 * ea[k], .b = 1e3 * b[k], .b_se = 1e3 * eb[k],
-                            .difference = 1e3 * (a[k] - b[k]), .difference_se = 1e3 * hypot(ea[k], eb[k])};
+        *m = (bake_measure){.unit = "mm",
+                            .a = 1e3 * a[k],
+                            .a_se = 1e3 * ea[k],
+                            .b = 1e3 * b[k],
+                            .b_se = 1e3 * eb[k],
+                            .difference = 1e3 * (a[k] - b[k]),
+                            .difference_se = 1e3 * hypot(ea[k], eb[k])};
         snprintf(m->name, sizeof(m->name), "%s", NAMES[k]);
     }
 }

@@ -112,8 +112,7 @@ static lmg_result open_box(const source_options *options, opened_source *s, lmg_
     lmg_result result = lmg_field_read(s->path, &s->field, err);
     if (result != LMG_OK)
         return result;
-    const char *quantity = lmg_field_get_text(s->field, "quantity");
-    s->photometric = !quantity || strcmp(quantity, "radiant") != 0;
+    s->photometric = box_is_photometric(s->field);
     lmg_error inner = {{0}};
     result = bake_box_source_create(s->field, options->seed, &s->source, &inner);
     return result == LMG_OK ? result : lmg_fail(err, result, "%s: %.400s", s->path, inner.message);

@@ -58,6 +58,12 @@ void usage_error(const struct argp_state *state, const char *format, ...)
     exit(EXIT_USAGE);
 }
 
+bool box_is_photometric(const lmg_field *field)
+{
+    const char *quantity = lmg_field_get_text(field, "quantity");
+    return !quantity || strcmp(quantity, "radiant") != 0;
+}
+
 double argument_number(const struct argp_state *state, const char *option, const char *text, double least, double most)
 {
     char *end;
@@ -79,11 +85,13 @@ uint64_t argument_count(const struct argp_state *state, const char *option, cons
         if (!*end && !errno && whole >= least && whole <= most)
             return whole;
     }
-    /* "1e8", "2.5e6" */
+    /* "1e8", "2.5e6", "2.5M" */
     errno = 0;
-    const double value = strtod(text, &end);
-    if (end == text || *end || errno || !isfinite(value) || value != floor(value))
-        usage_error(state, "%s: '%s' is not a whole number such as 4000000 or 4e6", option, text);
+    double value = strtod(text, &end);
+    const double unit = !strcmp(end, "k") ? 1e3 : !strcmp(end, "M") ? 1e6 : !strcmp(end, "G") ? 1e9 : 1;
+    if (end == text || (*end && unit == 1) || errno || !isfinite(value) || value * unit != floor(value * unit))
+        usage_error(state, "%s: '%s' is not a whole number such as 4000000, 4e6 or 4M", option, text);
+    value *= unit;
     if (value < (double)least || value > 0x1p63 || (uint64_t)value > most)
         usage_error(state, "%s: %s is outside %.6g to %.6g", option, text, (double)least, (double)most);
     return (uint64_t)value;

@@ -30,6 +30,9 @@ int report_error(lmg_result result, const lmg_error *err);
 /* The same for what comes from writing results. */
 int report_failure(const lmg_error *err);
 
+/* Whether the "lumens" of a box are lumens, not watts (rays of a radiometric file are watts). */
+bool box_is_photometric(const lmg_field *field);
+
 /* Prints "error: ..." and where help is, and exits with EXIT_USAGE. */
 _Noreturn void usage_error(const struct argp_state *state, const char *format, ...) __attribute__((format(printf, 2, 3)));
 

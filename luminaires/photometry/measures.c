@@ -130,6 +130,17 @@ lmg_result lum_photometry_measure(const lum_photometry *p, lum_photometry_measur
 
 /* ---------------------------------------------------------------------------------------------------------- difference */
 
+void lum_bergen_add(lum_bergen *fit, double a, double b, double weight)
+{
+    fit->difference += weight * (a - b) * (a - b);
+    fit->sum += weight * (a + b) * (a + b);
+}
+
+double lum_bergen_fit(const lum_bergen *fit)
+{
+    return fit->sum > 0 ? 100 * (1 - sqrt(fit->difference / fit->sum)) : 0;
+}
+
 lmg_result lum_photometry_compare(const lum_photometry *a, const lum_photometry *b, lum_photometry_difference *out, lmg_error *err)
 {
     enum { PLANES = 72, ANGLES = 73 };
@@ -139,7 +150,8 @@ lmg_result lum_photometry_compare(const lum_photometry *a, const lum_photometry 
     LUM_TRY(lum_photometry_measure(b, &mb, err));
     if (!(mb.peak > 0))
         return lmg_fail(err, LMG_ERROR_INPUT, "the distribution to compare with holds no light");
-    double difference = 0, sum = 0, weighted = 0, weighted_sum = 0, solid = 0, largest = 0;
+    lum_bergen plain = {0}, weighted = {0};
+    double squares = 0, solid = 0, largest = 0;
     for (int j = 0; j < ANGLES; j++) {
         const double gamma = 2.5 * j;
         /* Solid angle of the ring half a step to both sides, per plane. */
@@ -147,17 +159,16 @@ lmg_result lum_photometry_compare(const lum_photometry *a, const lum_photometry 
         for (int i = 0; i < PLANES; i++) {
             const lmg_vec3 d = lum_direction_from_c_gamma(5.0 * i, gamma);
             const double x = lum_photometry_intensity(a, d), y = lum_photometry_intensity(b, d);
-            difference += (x - y) * (x - y);
-            sum += (x + y) * (x + y);
-            weighted += w * (x - y) * (x - y);
-            weighted_sum += w * (x + y) * (x + y);
+            lum_bergen_add(&plain, x, y, 1);
+            lum_bergen_add(&weighted, x, y, w);
+            squares += w * (x - y) * (x - y);
             solid += w;
             largest = fmax(largest, fabs(x - y));
         }
     }
-    out->bergen = sum > 0 ? 100 * (1 - sqrt(difference / sum)) : 0;
-    out->bergen_weighted = weighted_sum > 0 ? 100 * (1 - sqrt(weighted / weighted_sum)) : 0;
-    out->rms_of_peak = sqrt(weighted / solid) / mb.peak;
+    out->bergen = lum_bergen_fit(&plain);
+    out->bergen_weighted = lum_bergen_fit(&weighted);
+    out->rms_of_peak = sqrt(squares / solid) / mb.peak;
     out->largest_of_peak = largest / mb.peak;
     out->flux_ratio = mb.flux > 0 ? ma.flux / mb.flux : 0;
     return LMG_OK;

@@ -104,6 +104,37 @@ static void arrows(void **state)
     EXPECT(RUN("convert", box.text, set.text, "--to", "pictures"), 1, "something in it");
 }
 
+/* Rays in watts make a box in watts, and what reads it says so. */
+static void watts(void **state)
+{
+    (void)state;
+    const tm25_recipe r = {.rays = 2000, .flags = {1, 1, 1}, .luminous = NAN, .radiant = 4};
+    size_t size;
+    uint8_t *bytes = tm25_make(&r, &size);
+    const name rays = path_of("watts.tm25ray"), box = path_of("watts.box.exr"), points = path_of("points.csv");
+    write_file(rays.text, bytes, size);
+    free(bytes);
+    EXPECT(RUN("convert", rays.text, box.text, "--rays", "2.0005k"), 2, "whole number");
+    EXPECT(RUN("convert", rays.text, box.text, "--rays", "2kk"), 2, "whole number");
+    outcome o = RUN("convert", rays.text, box.text, "--radiometric", "--rays", "2k", "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = json_loads(o.out, 0, NULL);
+    assert_string_equal(json_string_value(json_object_get(j, "unit")), "W");
+    assert_int_equal(json_integer_value(json_object_get(j, "rays")), 2000);
+    json_decref(j);
+    release(&o);
+    o = RUN("info", box.text);
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "4 W"));
+    assert_null(strstr(o.out, " lm"));
+    release(&o);
+    write_file(points.text, "0,0,9,0,0,-1\n", 13);
+    o = RUN("probe", box.text, "--points", points.text);
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "irradiance_W_m2"));
+    release(&o);
+}
+
 static void usage(void **state)
 {
     (void)state;
@@ -205,6 +236,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(arrows),
+        cmocka_unit_test(watts),
         cmocka_unit_test(usage),
         cmocka_unit_test(bad_input),
     };

@@ -191,9 +191,17 @@ typedef struct lum_photometry_measures {
 
 lmg_result lum_photometry_measure(const lum_photometry *p, lum_photometry_measures *out, lmg_error *err);
 
+/* Bergen's fit of two distributions, gathered over points that are weighted alike or by their solid angles [bergen2012]. */
+typedef struct lum_bergen {
+    double difference, sum; /* of w (a - b)^2, of w (a + b)^2; begin with zeros */
+} lum_bergen;
+
+void lum_bergen_add(lum_bergen *fit, double a, double b, double weight);
+double lum_bergen_fit(const lum_bergen *fit); /* 100 (1 - sqrt(difference / sum)): 100 for equal ones; 0 without light */
+
 /* How two distributions differ, on a common grid of 5 degrees in C and 2.5 degrees in gamma. */
 typedef struct lum_photometry_difference {
-    double bergen;          /* 100 (1 - sqrt(sum (I1-I2)^2 / sum (I1+I2)^2)) over the grid points [bergen2012] */
+    double bergen;          /* Bergen's fit over the grid points */
     double bergen_weighted; /* the same with every point weighted by its solid angle */
     double rms_of_peak;     /* solid-angle weighted RMS of the difference / peak of the second */
     double largest_of_peak; /* largest difference / peak of the second */
