@@ -1,0 +1,652 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * What a box makes of its photons, against the best uniform table: one opening or six faces, constant radiance in equal cells over
+ * all directions, any split of the cells between (u,v) and (s,t), as many photons, and at most as many lit cells (dark ones cost a
+ * file next to nothing), up to four times as many cells in all.  The tables stand on the planes and rectangles that the box's own
+ * fit has found, and whatever passes beside them is taken as exact: all in the tables' favour.  So is that the best table is chosen
+ * for each measure by itself.
+ *
+ * Measures, relative RMS each, no noise of judging in them:
+ * - illuminance on planes of 32 x 32 pixels at 0.5 to 20 sizes, all in one and one by one; far-field intensity in 32 x 64 bins;
+ * - luminance pictures: orthographic, 64 x 64 pixels, from eight directions, all in one;
+ * - radiance, weighted with etendue (L2).
+ *
+ * Means of squares are taken as products of two independent estimates, so that noise has no part in them.  Box: rays that it emits,
+ * in two halves, against two halves of the lamp's other photons.  Tables: the lamp's photons moved within their cells give what
+ * infinitely many photons would (half against half, in common random numbers); their noise is that of a Poisson count, spread as
+ * the cells spread it: the chance that a photon moved twice meets the same pixel both times.  Pictures and the square of the lamp's
+ * radiance are those of paths followed backwards (viewer), the cross term with the box is the box's mean radiance along the lamp's
+ * photons.
+ *
+ * Usage: test_bench_reconstruction [LAMP|all [photons [cells [judging photons]]]]; a line of JSON for each lamp.
+ */
+#include "bake.h"
+#include "sampler.h"
+#include "geometry.h"
+#include "receiver.h"
+#include "view_path.h"
+
+#include <luminaires/model.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { PLANES = 6, PIXELS = 32, RINGS = 32, SECTORS = 64, VIEWS = 8, PICTURE = 64, SUBPIXELS = 8, MAX_TABLES = 24 };
+enum { FAR = PLANES, RECEIVERS, BINS = RINGS * SECTORS }; /* bins: of the largest receiver */
+static const double DISTANCE[PLANES] = {0.5, 1, 2, 5, 10, 20};
+/* Directions of the pictures, degrees from the main axis: where a beam is, at its border, and where there is stray light only. */
+static const double TILT[VIEWS] = {0, 3, 6, 15, 30, 45, 60, 75};
+/* Backward paths for the square of the lamp's radiance. */
+enum { SQUARE_PATHS = 100000, ROUND = 1000000 };
+static const uint64_t SEED = 11;
+
+static void demand(lmg_result r, const lmg_error *err)
+{
+    if (r != LMG_OK) {
+        fprintf(stderr, "error: %s\n", err->message);
+        exit(1);
+    }
+}
+
+static void *reserve(size_t count, size_t size)
+{
+    void *p = calloc(count, size);
+    if (!p) {
+        fprintf(stderr, "error: no memory for %zu x %zu bytes\n", count, size);
+        exit(1);
+    }
+    return p;
+}
+
+/* ------------------------------------------------------------------------------------------------------------ receivers */
+
+typedef struct instrument {
+    lmg_vec3 axis, a, b, centre;
+    bake_rectangle planes[PLANES];
+    double radius; /* half the diagonal of the bounds */
+} instrument;
+
+/* Light in each pixel of each receiver, in two halves. */
+typedef double images[2][RECEIVERS][BINS];
+
+static int pixel_of(const instrument *in, int k, lmg_vec3 o, lmg_vec3 d)
+{
+    if (k == FAR) {
+        int ring = (int)(0.5 * (1 - v_dot(d, in->axis)) * RINGS),
+            sector = (int)((atan2(v_dot(d, in->b), v_dot(d, in->a)) / (2 * LMG_PI) + 0.5) * SECTORS);
+        return (ring < RINGS ? ring : RINGS - 1) * SECTORS + (sector < SECTORS ? sector : SECTORS - 1);
+    }
+    const bake_rectangle *q = &in->planes[k];
+    double dn = v_dot(d, in->axis);
+    if (!(dn > 0))
+        return -1;
+    lmg_vec3 p = v_sub(v_fma(o, v_dot(v_sub(q->centre, o), in->axis) / dn, d), q->centre);
+    double x = (v_dot(p, q->a) / q->width + 0.5) * PIXELS, y = (v_dot(p, q->b) / q->height + 0.5) * PIXELS;
+    return x >= 0 && x < PIXELS && y >= 0 && y < PIXELS ? (int)y * PIXELS + (int)x : -1;
+}
+
+static double product(const double *a, const double *b, size_t n)
+{
+    double sum = 0;
+    for (size_t i = 0; i < n; i++)
+        sum += a[i] * b[i];
+    return sum;
+}
+
+static double root(double square)
+{
+    return square >= 0 ? sqrt(square) : -sqrt(-square);
+}
+
+/* -------------------------------------------------------------------------------------------------------------- errors */
+
+/* Squared relative errors. */
+typedef struct errors {
+    double planes[PLANES], near_field, far_field, pictures, radiance;
+} errors;
+
+static void finish_near(errors *e)
+{
+    e->near_field = 0;
+    for (int k = 0; k < PLANES; k++)
+        e->near_field += e->planes[k] / PLANES;
+}
+
+/* ------------------------------------------------------------------------------------------------------ uniform tables */
+
+typedef struct table {
+    uint32_t slab_count;
+    lmg_slab slabs[6];
+    float *flux[6];     /* of each cell, photons */
+    double *etendue[6]; /* of the cells of one (u,v) cell */
+    double side_uv, side_st;
+    uint64_t cells, lit;
+    double change[2][RECEIVERS][BINS], noise[RECEIVERS];
+    errors error;
+} table;
+
+static uint32_t whole(double x)
+{
+    return (uint32_t)fmin(fmax(floor(x + 0.5), 1), 4096);
+}
+
+/* A table of about so many cells on the rectangles of the layout's wide slabs; split: (u,v) cells along a side over (s,t) cells. */
+static table *table_create(const lmg_layout *like, double cells, double split)
+{
+    table *t = reserve(1, sizeof *t);
+    for (uint32_t j = 0; j < like->slab_count; j++) {
+        const lmg_slab *s = &like->slabs[j];
+        /* the catch-all slabs below all others are six, of a few cells a side; windows don't reach from -1 to 1 */
+        if (s->s0 != -1 || s->s1 != 1 || s->t0 != -1 || s->t1 != 1 || j + 6 >= like->slab_count || t->slab_count == 6)
+            continue;
+        t->slabs[t->slab_count++] = *s;
+    }
+    for (uint32_t k = 0; k < t->slab_count; k++) {
+        lmg_slab *s = &t->slabs[k];
+        double each = cells / t->slab_count, uv = sqrt(each) * split, ratio = sqrt((s->u1 - s->u0) / (s->v1 - s->v0));
+        s->nu = whole(sqrt(uv) * ratio);
+        s->nv = whole(uv / s->nu);
+        s->ns = s->nt = whole(sqrt(each / ((double)s->nu * s->nv)));
+        t->flux[k] = reserve((size_t)s->nu * s->nv * s->ns * s->nt, sizeof(float));
+        t->cells += (uint64_t)s->nu * s->nv * s->ns * s->nt;
+        t->etendue[k] = reserve((size_t)s->ns * s->nt, sizeof(double));
+        for (uint32_t it = 0; it < s->nt; it++)
+            for (uint32_t is = 0; is < s->ns; is++)
+                t->etendue[k][it * s->ns + is] = lmg_slab_cell_etendue(s, 0, 0, is, it);
+    }
+    return t;
+}
+
+static void table_destroy(table *t)
+{
+    for (uint32_t k = 0; k < t->slab_count; k++) {
+        free(t->flux[k]);
+        free(t->etendue[k]);
+    }
+    free(t);
+}
+
+/* The slab and cell of a ray; -1: none. */
+static int table_cell(const table *t, lmg_vec3 o, lmg_vec3 d, uint32_t i[4], size_t *cell)
+{
+    double x[4];
+    for (uint32_t k = 0; k < t->slab_count; k++) {
+        const lmg_slab *s = &t->slabs[k];
+        if (!lmg_slab_coordinates(s, o, d, x))
+            continue;
+        const double lo[4] = {s->u0, s->v0, s->s0, s->t0}, hi[4] = {s->u1, s->v1, s->s1, s->t1};
+        const uint32_t n[4] = {s->nu, s->nv, s->ns, s->nt};
+        for (int c = 0; c < 4; c++) {
+            i[c] = (uint32_t)((x[c] - lo[c]) / (hi[c] - lo[c]) * n[c]);
+            i[c] = i[c] < n[c] ? i[c] : n[c] - 1;
+        }
+        *cell = ((size_t)i[1] * s->nu + i[0]) * s->ns * s->nt + (size_t)i[3] * s->ns + i[2];
+        return (int)k;
+    }
+    return -1;
+}
+
+static double etendue_of(const table *t, int k, size_t cell)
+{
+    return t->etendue[k][cell % ((size_t)t->slabs[k].ns * t->slabs[k].nt)];
+}
+
+/* A ray of the cell, uniform in etendue. */
+static void ray_in_cell(const lmg_slab *s, const uint32_t i[4], lum_rng *rng, lmg_vec3 *o, lmg_vec3 *d)
+{
+    const double lo[4] = {s->u0, s->v0, s->s0, s->t0}, hi[4] = {s->u1, s->v1, s->s1, s->t1};
+    const uint32_t n[4] = {s->nu, s->nv, s->ns, s->nt};
+    double x[4], weight = 1, most = 1;
+    do {
+        for (int c = 0; c < 4; c++)
+            x[c] = lo[c] + (hi[c] - lo[c]) * (i[c] + lum_rng_next(rng)) / n[c];
+        if (s->kind == LMG_SLAB_CUBE) {
+            double near[2], r = 1 + x[2] * x[2] + x[3] * x[3];
+            for (int c = 0; c < 2; c++) {
+                double a = lo[2 + c] + (hi[2 + c] - lo[2 + c]) * i[2 + c] / n[2 + c], b = a + (hi[2 + c] - lo[2 + c]) / n[2 + c];
+                near[c] = a > 0 ? a : b < 0 ? b : 0;
+            }
+            most = 1 + near[0] * near[0] + near[1] * near[1];
+            weight = most * most / (r * r);
+        }
+    } while (lum_rng_next(rng) > weight);
+    lmg_slab_ray(s, x, o, d);
+}
+
+/* A judging photon: what its cell does to it. */
+static void table_spread(table *t, const instrument *in, const lmg_ray *ray, const int before[RECEIVERS], lum_rng *rng)
+{
+    uint32_t i[4];
+    size_t cell;
+    int half = (int)(ray->number & 1), k = table_cell(t, ray->origin, ray->direction, i, &cell);
+    double y = lmg_luminance(ray->flux);
+    lmg_vec3 o[2] = {ray->origin, ray->origin}, d[2] = {ray->direction, ray->direction};
+    for (int n = 0; n < 2 && k >= 0; n++)
+        ray_in_cell(&t->slabs[k], i, rng, &o[n], &d[n]);
+    for (int r = 0; r < RECEIVERS; r++) {
+        int first = k < 0 ? before[r] : pixel_of(in, r, o[0], d[0]), second = k < 0 ? before[r] : pixel_of(in, r, o[1], d[1]);
+        t->noise[r] += first >= 0 && first == second ? y * y : 0;
+        if (first == before[r])
+            continue;
+        if (before[r] >= 0)
+            t->change[half][r][before[r]] -= y;
+        if (first >= 0)
+            t->change[half][r][first] += y;
+    }
+}
+
+/* -------------------------------------------------------------------------------------------------------- a lamp's light */
+
+typedef struct lamp {
+    const char *name;
+    lum_model *model;
+    bake_source *source;
+    view_scene *scene; /* the lamp far above a room; NULL: the viewer can't show it */
+    lmg_vec3 shift;    /* from the luminaire's frame to the scene's world */
+    double *weights;
+} lamp;
+
+/* Luminance that leaves the lamp along a ray: one backward path.  0 where the viewer can't show the lamp. */
+static double look(const lamp *l, lmg_vec3 from, lmg_vec3 travel, lum_rng *rng)
+{
+    const view_path_options options = {.max_depth = UINT32_MAX, .connect = -1};
+    view_worker worker = {.weights = l->weights};
+    double rgb[3];
+    if (!l->scene)
+        return 0;
+    view_path_radiance(l->scene, &options, v_add(from, l->shift), v_scale(-1, travel), rng, &worker, rgb);
+    return 0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2];
+}
+
+static void lamp_open(lamp *l, const char *name)
+{
+    char path[1024], recipe_path[1024];
+    lmg_error err;
+    lum_recipe *recipe = NULL;
+    snprintf(path, sizeof path, LUMIBOX_BINARY_DIR "/models/%s/%s.gltf", name, name);
+    snprintf(recipe_path, sizeof recipe_path, LUMIBOX_BINARY_DIR "/models/%s/%s.recipe.json", name, name);
+    FILE *there = fopen(recipe_path, "r");
+    if (there) {
+        fclose(there);
+        demand(lum_recipe_read(recipe_path, &recipe, &err), &err);
+    }
+    *l = (lamp){.name = name};
+    demand(lum_model_load(path, recipe, &l->model, &err), &err);
+    demand(bake_tracer_create(l->model, SEED + 1, &l->source, &err), &err);
+    const view_placement place = {.position = {0, 1000, 0}};
+    demand(view_scene_create(LUMIBOX_BINARY_DIR "/models/room/room.gltf", &l->scene, &err), &err);
+    if (view_scene_add_lamp(l->scene, path, recipe, &place, 0, &err) == LMG_OK) {
+        demand(view_scene_finish(l->scene, &err), &err);
+        l->shift = v_sub((lmg_vec3){0, 1000, 0}, l->scene->origin);
+        l->weights = reserve(2 * l->scene->light_count, sizeof *l->weights);
+    } else {
+        printf("%s: no pictures nor radiance: %s\n", name, err.message);
+        view_scene_destroy(l->scene);
+        l->scene = NULL;
+    }
+    lum_recipe_destroy(recipe);
+}
+
+static void lamp_close(lamp *l)
+{
+    free(l->weights);
+    if (l->scene)
+        view_scene_destroy(l->scene);
+    l->source->destroy(l->source);
+    lum_model_destroy(l->model);
+}
+
+/* Photons of the lamp, a round after the other. */
+static void for_photons(lamp *l, uint64_t first, uint64_t count, void (*use)(void *self, const lmg_ray *rays, size_t n), void *self)
+{
+    lmg_error err;
+    for (uint64_t done = 0; done < count;) {
+        uint64_t n = count - done < ROUND ? count - done : ROUND;
+        bake_ray_list *list;
+        bake_tally tally = {0};
+        demand(bake_ray_list_create((size_t)n, &list, &err), &err);
+        const lmg_sink sink = bake_ray_list_sink(list);
+        demand(l->source->run(l->source, first + done, n, 0, &sink, 1, &tally, &err), &err);
+        size_t rays;
+        const lmg_ray *at = bake_ray_list_sorted(list, &rays);
+        use(self, at, rays);
+        bake_ray_list_destroy(list);
+        done += n;
+    }
+}
+
+/* --------------------------------------------------------------------------------------------------------------- a trial */
+
+typedef struct trial {
+    lamp *lamp;
+    lmg_field *field;
+    instrument in;
+    images *reference;
+    uint32_t table_count;
+    table *tables[MAX_TABLES];
+    double judged;        /* photons emitted for judging */
+    double cross, square; /* sums over judging photons: the box's radiance along them; backward paths along some of them */
+    double table_cross[MAX_TABLES];
+    uint64_t square_paths, seen;
+} trial;
+
+static void fill_tables(void *self, const lmg_ray *rays, size_t n)
+{
+    trial *t = self;
+    for (uint32_t k = 0; k < t->table_count; k++)
+        for (size_t r = 0; r < n; r++) {
+            uint32_t i[4];
+            size_t cell;
+            int slab = table_cell(t->tables[k], rays[r].origin, rays[r].direction, i, &cell);
+            if (slab >= 0)
+                t->tables[k]->flux[slab][cell] += (float)lmg_luminance(rays[r].flux);
+        }
+}
+
+static void judge_by(void *self, const lmg_ray *rays, size_t n)
+{
+    trial *t = self;
+    for (size_t r = 0; r < n; r++) {
+        const lmg_ray *ray = &rays[r];
+        const double y = lmg_luminance(ray->flux);
+        lum_rng rng = lum_rng_stream(SEED + 2, ray->number);
+        int before[RECEIVERS];
+        for (int k = 0; k < RECEIVERS; k++) {
+            before[k] = pixel_of(&t->in, k, ray->origin, ray->direction);
+            if (before[k] >= 0)
+                (*t->reference)[ray->number & 1][k][before[k]] += y;
+        }
+        lmg_vec3 beyond = v_fma(ray->origin, 4 * t->in.radius, ray->direction);
+        float rgb[3];
+        lmg_field_radiance(t->field, beyond, ray->direction, LMG_NEAREST, rgb, NULL);
+        t->cross += y * lmg_luminance(rgb);
+        t->seen++;
+        if (t->square_paths < SQUARE_PATHS) {
+            t->square += y * look(t->lamp, beyond, ray->direction, &rng);
+            t->square_paths++;
+        }
+        for (uint32_t k = 0; k < t->table_count; k++) {
+            table_spread(t->tables[k], &t->in, ray, before, &rng);
+            uint32_t i[4];
+            size_t cell;
+            int slab = table_cell(t->tables[k], ray->origin, ray->direction, i, &cell);
+            if (slab >= 0)
+                t->table_cross[k] += y * (double)t->tables[k]->flux[slab][cell] / etendue_of(t->tables[k], slab, cell);
+        }
+    }
+}
+
+/* Pictures: luminance along SUBPIXELS rays in each of two halves of a pixel's samples. */
+typedef struct picture_ray {
+    lmg_vec3 from, travel;
+} picture_ray;
+
+static picture_ray sight(const instrument *in, int view, uint32_t pixel, int half, int sample)
+{
+    lum_rng rng = lum_rng_stream(SEED + 3, (((uint64_t)view * PICTURE * PICTURE + pixel) * 2 + (uint64_t)half) * SUBPIXELS +
+                                               (uint64_t)sample);
+    double tilt = TILT[view] * LMG_PI / 180, turn = 0.7 + 2.4 * view; /* golden angle: all sides */
+    lmg_vec3 aside = v_fma(v_scale(cos(turn), in->a), sin(turn), in->b);
+    lmg_vec3 travel = v_fma(v_scale(cos(tilt), in->axis), sin(tilt), aside), b = v_cross(in->axis, aside), a = v_cross(b, travel);
+    double x = 2 * ((pixel % PICTURE + lum_rng_next(&rng)) / PICTURE) - 1,
+           y = 2 * ((pixel / PICTURE + lum_rng_next(&rng)) / PICTURE) - 1;
+    lmg_vec3 at = v_fma(v_fma(in->centre, x * in->radius, a), y * in->radius, b);
+    return (picture_ray){v_fma(at, 4 * in->radius, travel), travel};
+}
+
+static void judge_pictures(trial *t, errors *box, double lumens_per_photon)
+{
+    double energy = 0, sum = 0, sums[MAX_TABLES] = {0};
+    for (int view = 0; view < VIEWS; view++)
+        for (uint32_t pixel = 0; pixel < PICTURE * PICTURE; pixel++) {
+            double truth[2] = {0}, ours[2] = {0}, theirs[MAX_TABLES][2] = {{0}};
+            for (int half = 0; half < 2; half++)
+                for (int n = 0; n < SUBPIXELS; n++) {
+                    picture_ray s = sight(&t->in, view, pixel, half, n);
+                    lum_rng rng = lum_rng_stream(SEED + 4 + (uint64_t)half,
+                                                 ((uint64_t)view * PICTURE * PICTURE + pixel) * SUBPIXELS + (uint64_t)n);
+                    float rgb[3];
+                    truth[half] += look(t->lamp, s.from, s.travel, &rng) / SUBPIXELS;
+                    lmg_field_radiance(t->field, s.from, s.travel, LMG_LINEAR, rgb, NULL);
+                    ours[half] += lmg_luminance(rgb) / SUBPIXELS;
+                    for (uint32_t k = 0; k < t->table_count; k++) {
+                        uint32_t i[4];
+                        size_t cell;
+                        int slab = table_cell(t->tables[k], s.from, s.travel, i, &cell);
+                        if (slab >= 0)
+                            theirs[k][half] += lumens_per_photon * (double)t->tables[k]->flux[slab][cell] /
+                                               etendue_of(t->tables[k], slab, cell) / SUBPIXELS;
+                    }
+                }
+            energy += truth[0] * truth[1];
+            sum += (ours[0] - truth[0]) * (ours[1] - truth[1]);
+            for (uint32_t k = 0; k < t->table_count; k++)
+                sums[k] += (theirs[k][0] - truth[0]) * (theirs[k][1] - truth[1]);
+        }
+    box->pictures = sum / energy;
+    for (uint32_t k = 0; k < t->table_count; k++)
+        t->tables[k]->error.pictures = sums[k] / energy;
+}
+
+/* Rays of the box in the receivers, for box and reference scaled to lumens. */
+static double emit(const trial *t, uint64_t count, images *out)
+{
+    double self = 0;
+    for (uint64_t n = 0; n < count; n++) {
+        lum_rng rng = lum_rng_stream(SEED + 6, n);
+        double xi[5];
+        lmg_ray ray;
+        float rgb[3];
+        for (int k = 0; k < 5; k++)
+            xi[k] = lum_rng_next(&rng);
+        if (!lmg_field_emit(t->field, xi, &ray))
+            continue;
+        for (int k = 0; k < RECEIVERS; k++) {
+            int px = pixel_of(&t->in, k, ray.origin, ray.direction);
+            if (px >= 0)
+                (*out)[n & 1][k][px] += 1;
+        }
+        lmg_field_radiance(t->field, v_fma(ray.origin, 4 * t->in.radius, ray.direction), ray.direction, LMG_NEAREST, rgb, NULL);
+        self += lmg_luminance(rgb);
+    }
+    return self / (double)count;
+}
+
+/* ------------------------------------------------------------------------------------------------------------- printing */
+
+static void print_errors(const char *what, const errors *e)
+{
+    printf("%-26s", what);
+    for (int k = 0; k < PLANES; k++)
+        printf(" %6.2f", 100 * root(e->planes[k]));
+    printf("  %6.2f %6.2f %6.2f %6.2f\n", 100 * root(e->near_field), 100 * root(e->far_field), 100 * root(e->pictures),
+           100 * root(e->radiance));
+}
+
+static void lower(double *least, double error)
+{
+    *least = error < *least ? error : *least;
+}
+
+/* Of two squared errors; where both are below what the judge can tell, they are alike. */
+static double ratio_of(double error, double of, double floor)
+{
+    return sqrt(fmax(error, floor) / fmax(of, floor));
+}
+
+/*
+ * Standard error of a squared error that is the product of halves: of independent differences with variances v in each pixel, the
+ * sum of the products has the variance sum v^2.  The reference's noise and the box's, of as many rays, are taken as equal.
+ */
+static double resolution(const images *reference, int k, double energy, double scale)
+{
+    double squares = 0;
+    for (int i = 0; i < BINS; i++) {
+        double v =
+            scale * scale * ((*reference)[0][k][i] + (*reference)[1][k][i]); /* a photon's flux is about 1; half of it, twice */
+        squares += v * v;
+    }
+    return sqrt(squares) / energy;
+}
+
+static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_t judging)
+{
+    static const double SPLIT[] = {1.0 / 16, 1.0 / 4, 1, 4, 16, 64}, SIZE[] = {1.0 / 16, 1.0 / 4, 1, 4};
+    lmg_error err;
+    lamp l;
+    lamp_open(&l, name);
+    bake_options options = {.photons = photons, .seed = SEED, .fit = {.struct_size = sizeof options.fit, .cells = cells}};
+    bake_report report;
+    trial t = {.lamp = &l};
+    demand(bake_run(l.model, &options, &t.field, &report, &err), &err);
+    const lmg_layout *layout = lmg_field_layout(t.field);
+    const lmg_ledger ledger = lmg_field_ledger(t.field);
+    uint64_t lit = 0;
+    for (uint32_t j = 0; j < layout->slab_count; j++)
+        for (uint64_t i = 0; i < t.field->slabs[j].cells; i++)
+            lit += lmg_cell_luminance(t.field, j, i) > 0;
+
+    lmg_vec3 extent = v_sub(l.source->bounds_max, l.source->bounds_min);
+    bake_ray_list *list;
+    size_t pilot;
+    bake_tally tally = {0};
+    demand(bake_ray_list_create(50000, &list, &err), &err);
+    const lmg_sink sink = bake_ray_list_sink(list);
+    demand(l.source->run(l.source, BAKE_PILOT_FIRST, 50000, 0, &sink, 1, &tally, &err), &err);
+    const lmg_ray *rays = bake_ray_list_sorted(list, &pilot);
+    t.in.axis = bake_main_axis(rays, pilot);
+    bake_ray_list_destroy(list);
+    t.in.centre = v_scale(0.5, v_add(l.source->bounds_min, l.source->bounds_max));
+    t.in.radius = 0.5 * v_length(extent);
+    for (int k = 0; k < PLANES; k++)
+        t.in.planes[k] = bake_measuring_rectangle(l.source->bounds_min, l.source->bounds_max, t.in.axis, layout->size,
+                                                  DISTANCE[k] * layout->size, PIXELS);
+    t.in.a = t.in.planes[0].a;
+    t.in.b = t.in.planes[0].b;
+
+    for (size_t k = 0; k < sizeof SIZE / sizeof *SIZE; k++)
+        for (size_t i = 0; i < sizeof SPLIT / sizeof *SPLIT; i++) {
+            table *made = table_create(layout, SIZE[k] * (double)cells, SPLIT[i]);
+            made->side_uv = made->slabs[0].nu;
+            made->side_st = made->slabs[0].ns;
+            t.tables[t.table_count++] = made;
+        }
+    /* the tables' photons are others than the box's, and others than the judge's */
+    for_photons(&l, 0, photons, fill_tables, &t);
+    uint32_t kept = 0;
+    for (uint32_t k = 0; k < t.table_count; k++) {
+        table *u = t.tables[k];
+        double square = 0;
+        for (uint32_t s = 0; s < u->slab_count; s++)
+            for (size_t i = 0; i < (size_t)u->slabs[s].nu * u->slabs[s].nv * u->slabs[s].ns * u->slabs[s].nt; i++) {
+                double f = (double)u->flux[s][i];
+                u->lit += f > 0;
+                square += f * f / etendue_of(u, (int)s, i);
+            }
+        if (u->lit > lit) {
+            table_destroy(u);
+            continue;
+        }
+        u->error.radiance = square;
+        t.tables[kept++] = u;
+    }
+    t.table_count = kept;
+
+    t.reference = reserve(1, sizeof *t.reference);
+    for_photons(&l, UINT64_C(1) << 40, judging, judge_by, &t);
+    images *emitted = reserve(1, sizeof *emitted);
+    const double self = emit(&t, judging, emitted);
+    const double flux = l.source->flux, per_judge = flux / (double)judging, per_photon = flux / (double)photons,
+                 per_emitted = ledger.stored / (double)judging;
+
+    errors box = {0}, floor = {.pictures = 4e-6, .radiance = 4e-6};
+    /* squares of radiance, lm cd/m2: box, box x lamp, lamp */
+    const double bb = ledger.stored * self, bl = per_judge * t.cross,
+                 ll = per_judge * t.square * (double)t.seen / (double)t.square_paths;
+    box.radiance = (bb - 2 * bl + ll) / ll;
+    /* Cauchy and Schwarz: no light has less, but for noise; a lamp whose light paths don't find (fluorescence, say) has */
+    const bool seen = ll > 0.9 * bl * bl / bb;
+    if (seen)
+        judge_pictures(&t, &box, per_photon);
+    double scale = 2 * per_judge;
+    for (int k = 0; k < RECEIVERS; k++) {
+        double half[2][BINS], energy = product((*t.reference)[0][k], (*t.reference)[1][k], BINS) * scale * scale;
+        for (int h = 0; h < 2; h++)
+            for (int i = 0; i < BINS; i++)
+                half[h][i] = 2 * per_emitted * (*emitted)[h][k][i] - scale * (*t.reference)[h][k][i];
+        *(k == FAR ? &floor.far_field : &floor.planes[k]) = resolution(t.reference, k, energy, scale);
+        *(k == FAR ? &box.far_field : &box.planes[k]) = product(half[0], half[1], BINS) / energy;
+        for (uint32_t i = 0; i < t.table_count; i++) {
+            table *u = t.tables[i];
+            double blur = product(u->change[0][k], u->change[1][k], BINS) * scale * scale / energy;
+            double noise = u->noise[k] * per_judge * per_photon / energy;
+            *(k == FAR ? &u->error.far_field : &u->error.planes[k]) = blur + noise;
+        }
+    }
+    finish_near(&box);
+    for (int k = 0; k < PLANES; k++)
+        floor.near_field = hypot(floor.near_field, floor.planes[k] / PLANES);
+    errors best = {.near_field = INFINITY, .far_field = INFINITY, .pictures = INFINITY, .radiance = INFINITY};
+    for (int k = 0; k < PLANES; k++)
+        best.planes[k] = INFINITY;
+
+    printf("%s: %.3g photons, %.3g cells asked for, %.3g lit; judged by %.3g photons; sizes, errors in per cent\n%s", name,
+           (double)photons, (double)cells, (double)lit, (double)judging, report.layout_why);
+    printf("%-26s %6g %6g %6g %6g %6g %6g  %6s %6s %6s %6s\n", "", DISTANCE[0], DISTANCE[1], DISTANCE[2], DISTANCE[3], DISTANCE[4],
+           DISTANCE[5], "planes", "far", "pictur", "radian");
+    for (uint32_t k = 0; k < t.table_count; k++) {
+        table *u = t.tables[k];
+        u->error.radiance = (per_photon * per_photon * u->error.radiance - 2 * per_judge * per_photon * t.table_cross[k] + ll) / ll;
+        finish_near(&u->error);
+        char what[64];
+        snprintf(what, sizeof what, "%gx%g %.2gM lit %.2gM", u->side_uv, u->side_st, 1e-6 * (double)u->cells,
+                 1e-6 * (double)u->lit);
+        print_errors(what, &u->error);
+        for (int r = 0; r < PLANES; r++)
+            lower(&best.planes[r], u->error.planes[r]);
+        lower(&best.near_field, u->error.near_field);
+        lower(&best.far_field, u->error.far_field);
+        lower(&best.pictures, u->error.pictures);
+        lower(&best.radiance, u->error.radiance);
+    }
+    print_errors("best of each measure", &best);
+    print_errors("box", &box);
+    print_errors("judge's resolution", &floor);
+    const double ratio[4] = {
+        ratio_of(box.near_field, best.near_field, floor.near_field), ratio_of(box.far_field, best.far_field, floor.far_field),
+        ratio_of(box.pictures, best.pictures, floor.pictures), ratio_of(box.radiance, best.radiance, floor.radiance)};
+    printf("box over best: planes %.2f, far %.2f", ratio[0], ratio[1]);
+    if (seen)
+        printf(", pictures %.2f, radiance %.2f\n\n", ratio[2], ratio[3]);
+    else
+        printf("; paths backwards don't find this lamp's light, so pictures and radiance aren't known\n\n");
+    printf("{\"benchmark\": \"reconstruction\", \"lamp\": \"%s\", \"photons\": %.4g, \"cells\": %.4g, \"planes\": %.5g, "
+           "\"far_field\": %.5g, "
+           "\"planes_ratio\": %.4g, \"far_field_ratio\": %.4g",
+           name, (double)photons, (double)cells, root(box.near_field), root(box.far_field), ratio[0], ratio[1]);
+    if (seen)
+        printf(", \"pictures\": %.5g, \"radiance\": %.5g, \"pictures_ratio\": %.4g, \"radiance_ratio\": %.4g", root(box.pictures),
+               root(box.radiance), ratio[2], ratio[3]);
+    printf("}\n");
+    fflush(stdout);
+    for (uint32_t k = 0; k < t.table_count; k++)
+        table_destroy(t.tables[k]);
+    free(t.reference);
+    free(emitted);
+    lmg_field_destroy(t.field);
+    lamp_close(&l);
+}
+
+int main(int argc, char **argv)
+{
+    static const char *const LAMPS[] = {"paraboloid-spot", "glass-lens", "opal-globe", "louvred-panel", "phosphor-led"};
+    const char *wanted = argc > 1 ? argv[1] : "all";
+    const uint64_t photons = argc > 2 ? (uint64_t)atof(argv[2]) : 8000000, cells = argc > 3 ? (uint64_t)atof(argv[3]) : 1000000;
+    const uint64_t judging = argc > 4 ? (uint64_t)atof(argv[4]) : 4000000;
+    for (size_t i = 0; i < sizeof LAMPS / sizeof *LAMPS; i++)
+        if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i]) == 0)
+            run_lamp(LAMPS[i], photons, cells, judging);
+    return 0;
+}
