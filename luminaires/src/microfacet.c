@@ -359,6 +359,9 @@ static void fill_tables(lum_table_store *store, const lum_material *m, const flo
         if (rough && transmits && !m->thin) {
             medium->outside = lum_lobe_set_find(store, LUM_LOBE_BOUNDARY, eta, alpha, failed);
             medium->inside = lum_lobe_set_find(store, LUM_LOBE_BOUNDARY, 1 / eta, alpha, failed);
+            if (m->layers.present & (LUM_LAYER_SPECULAR | LUM_LAYER_IRIDESCENCE)) {
+                medium->changed = lum_boundary_set_find(store, alpha, eta, failed);
+            }
         }
     }
 }
@@ -397,6 +400,14 @@ void lum_tables_destroy(lum_table_store *store)
         free(store->cosine_sets[i]);
     }
     free(store->cosine_sets);
+    for (size_t i = 0; i < store->boundary_set_count; i++) {
+        free(store->boundary_sets[i]);
+    }
+    free(store->boundary_sets);
+    for (size_t i = 0; i < store->stretched_count; i++) {
+        free(store->stretched[i]);
+    }
+    free(store->stretched);
     free(store->sheen);
     free(store->film);
     free(store->sets);

@@ -64,6 +64,26 @@ typedef struct lum_cosine_set {
     lum_cosine_rows rows[];
 } lum_cosine_set;
 
+/*
+ * The same for one reflection or one refraction at the boundary of a solid: for any reflectance F of the facets, F(c) of the cosine
+ * c on the side of lower index, E(mu) = without(mu) + sum over k of F(k / LUM_COSINE_STEPS) share[k].
+ */
+typedef struct lum_boundary_rows {
+    float without[LUM_COSINE_NODES + 1]; /* F = 0: all that doesn't meet total reflection is refracted */
+    float share[LUM_COSINE_NODES + 1][LUM_COSINE_STEPS + 1];
+} lum_boundary_rows;
+
+typedef struct lum_boundary_set {
+    float alpha; /* -1: over roughness, as in lum_cosine_set */
+    float eta;   /* relative index from the front */
+    int count;
+    lum_boundary_rows rows[][2]; /* from the front, from inside */
+} lum_boundary_set;
+
+/* 1 - E at every node for the reflectance f at the steps, from the front or from inside; returns 1 - E_avg. */
+double lum_boundary_rests(const lum_boundary_set *set, double alpha, bool front, const float f[LUM_COSINE_STEPS + 1],
+                          float rest[LUM_COSINE_NODES + 1]);
+
 /* E at every node (sqrt(mu) = j / LUM_COSINE_NODES) for the reflectance f at the steps. */
 void lum_cosine_albedos(const lum_cosine_set *set, double alpha, const float f[LUM_COSINE_STEPS + 1],
                         float albedo[LUM_COSINE_NODES + 1]);
@@ -73,6 +93,7 @@ typedef struct lum_medium_tables {
     float eta_outside;
     const lum_lobe_set *coat;             /* opaque dielectrics */
     const lum_lobe_set *outside, *inside; /* boundaries of solids, light from the front and from behind; NULL if not needed */
+    const lum_boundary_set *changed;      /* the same where layers change the reflectance; NULL if not needed */
     double fresnel_average;               /* of the smooth boundary from the front, over the cosine-weighted hemisphere */
     double thin_average;                  /* of lum_fresnel_thin */
 } lum_medium_tables;
@@ -90,10 +111,15 @@ struct lum_tables {
     const lum_lobe_set *clearcoat;
     const struct lum_sheen_table *sheen;
     const struct lum_film_table *film;
+    const struct lum_stretched_set *stretched; /* of the metal */
     /* Of the interface over the diffuse base, for the material in air, if no texture changes it (lum_prepare_layers): E at the
-     * nodes of a lum_cosine_set, and T of scatter_layers.c; 0 = not known. */
+     * nodes of a lum_cosine_set, and T of layer_parts.h; 0 = not known. */
     float base_albedo[LUM_COSINE_NODES + 1];
     double base_total;
+    /* 1 - E and 1 - E_avg of the changed boundary in air, from the front and from inside, if no texture changes it; 0 = not known.
+     */
+    float changed_rest[2][LUM_COSINE_NODES + 1];
+    double changed_total[2];
 };
 
 /* All tables of a model: one lum_tables per material, lobe sets shared. */
@@ -103,6 +129,10 @@ typedef struct lum_table_store {
     size_t set_count;
     lum_cosine_set **cosine_sets;
     size_t cosine_set_count;
+    lum_boundary_set **boundary_sets;
+    size_t boundary_set_count;
+    struct lum_stretched_set **stretched;
+    size_t stretched_count;
     struct lum_sheen_table *sheen;
     struct lum_film_table *film;
 } lum_table_store;
@@ -142,6 +172,7 @@ static inline float lum_lobe_floor(const lum_lobe_set *set, double alpha, double
 
 /* layer_tables.c: what the material's layers need. */
 void lum_layer_tables_fill(lum_table_store *store, const lum_material *material, struct lum_tables *tables, bool *failed);
+const lum_boundary_set *lum_boundary_set_find(lum_table_store *store, float alpha, float eta, bool *failed);
 /* The set for these parameters, made if it isn't there yet.  alpha < 0: all roughnesses. */
 const lum_lobe_set *lum_lobe_set_find(lum_table_store *store, lum_lobe_kind kind, float eta, float alpha, bool *failed);
 /* The single-scattering albedo E(mu) by quadrature: what the tables hold. n: points per dimension. */

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Surfaces with layers: scatter_layers.c says how they scatter.  Called by scatter.c and scatter_eval.c. */
+/* Surfaces with layers: layer_parts.h says how they scatter.  Called by scatter.c and scatter_eval.c. */
 #ifndef LUMINAIRES_SCATTER_LAYERS_H
 #define LUMINAIRES_SCATTER_LAYERS_H
 

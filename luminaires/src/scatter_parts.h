@@ -112,13 +112,17 @@ INLINE float repeated(float r, double lost)
 /* The densities of what comes back from the rough boundary of a solid after more than one bounce: the share that is transmitted.
  * Reciprocity wants share_outside * n_outside^2 * lost_outside = share_inside * n_inside^2 * lost_inside; of the values that meet
  * it, this is the largest up to the smooth boundary's own transmittance. */
-INLINE double repeated_through(const lum_medium_tables *t, double alpha, double eta, bool front)
+INLINE double repeated_share(double lost_out, double lost_in, double fresnel_average, double eta, bool front)
 {
-    double lost_out = lum_lobe_total(t->outside, alpha), lost_in = lum_lobe_total(t->inside, alpha);
     double index2 = front ? eta * eta : 1 / (eta * eta); /* (n_inside / n_outside)^2 */
     double a = lost_out, b = lost_in * index2;
-    double k = fmin(b, (1 - t->fresnel_average) * a);
+    double k = fmin(b, (1 - fresnel_average) * a);
     return front ? k / a : k / b;
+}
+
+INLINE double repeated_through(const lum_medium_tables *t, double alpha, double eta, bool front)
+{
+    return repeated_share(lum_lobe_total(t->outside, alpha), lum_lobe_total(t->inside, alpha), t->fresnel_average, eta, front);
 }
 
 /* The interface over a diffuse base; NULL from inside of a solid that it shares a surface with. */
