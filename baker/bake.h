@@ -79,6 +79,9 @@ lmg_sink bake_ray_list_sink(bake_ray_list *list);
 const lmg_ray *bake_ray_list_sorted(bake_ray_list *list, size_t *count);
 const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count); /* for sums of integers */
 
+/* What boxes lose by rounding, of their noise (lmg_field_write_rounded): a tenth can't be told from nothing. */
+#define BAKE_ROUNDING 0.1
+
 /* Pilot photons are numbered from here on, apart from those of the bake. */
 #define BAKE_PILOT_FIRST (UINT64_C(1) << 62)
 

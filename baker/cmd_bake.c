@@ -31,6 +31,7 @@ enum {
     KEY_LAYOUT,
     KEY_CELLS,
     KEY_RESOLUTION,
+    KEY_LOSSLESS,
     KEY_PILOT,
     KEY_EFFECTS,
     KEY_EFFECTS_ERROR,
@@ -55,6 +56,7 @@ static const struct argp_option OPTIONS[] = {
     {"layout", KEY_LAYOUT, "KIND", 0, "auto, cube or aperture (default auto)", 4},
     {"cells", KEY_CELLS, "N", 0, "size of the light field in cells (default 4e6)", 4},
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 4},
+    {"lossless", KEY_LOSSLESS, 0, 0, LOSSLESS_HELP, 4},
     {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
     {"effects", KEY_EFFECTS, "LIST", 0, "auto (as lumibake plan says), all, or effects to simulate", 4},
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving effects out may change (default 0.1%)", 4},
@@ -84,7 +86,8 @@ typedef struct command {
     uint64_t share, shares; /* of --photons: the share-th of shares; 0 = all */
     bool given_first;
     char part[1100]; /* the checkpoint's file */
-    bool quiet, progress, json;
+    bool lossless, quiet, progress, json;
+    lmg_rounding lost; /* by rounding the box's cells */
     bake_target target; /* error 0: none */
     bake_reached reached;
     /* progress on a terminal */
@@ -178,6 +181,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_RESOLUTION:
         argument_resolution(state, arg, c->bake.fit.resolution);
+        break;
+    case KEY_LOSSLESS:
+        c->lossless = true;
         break;
     case KEY_PILOT:
         c->bake.pilot_photons = argument_count(state, "--pilot", arg, 1, 100000000);
@@ -356,6 +362,7 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                         json_pack("{s:f, s:f, s:f, s:f, s:f}", "plan", r->plan_seconds, "pilot", r->pilot_seconds, "trace", r->trace_seconds, "reconstruct",
                                   r->reconstruct_seconds, "total", seconds));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
+    json_object_set_new(o, "rounding", json_pack("{s:o, s:o}", "loss", json_number(c->lost.loss), "half_loss", json_number(c->lost.half_loss)));
     json_object_set_new(o, "interrupted", json_boolean(r->interrupted));
     json_object_set_new(o, "resumed", json_boolean(r->resumed));
     json_object_set_new(o, "part", r->interrupted || c->bake.keep ? json_string(c->part) : json_null());
@@ -396,7 +403,12 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
             printf("            %.*s\n", (int)length, line);
         line += length + (line[length] == '\n');
     }
-    printf("  file      %.1f MB; %.1f s in all (plan %.1f s, pilot %.1f s)\n", 1e-6 * (double)bytes, seconds, r->plan_seconds,
+    printf("  file      %.2f MB, ", 1e-6 * (double)bytes);
+    if (c->lost.loss > 0 || c->lost.half_loss > 0)
+        printf("cells rounded by %.2g of their noise; ", c->lost.loss);
+    else
+        printf("lossless; ");
+    printf("%.1f s in all (plan %.1f s, pilot %.1f s)\n", seconds, r->plan_seconds,
            r->pilot_seconds);
 }
 
@@ -440,7 +452,7 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
     free(settings);
     if (result != LMG_OK)
         return report_error(result, &err);
-    if (lmg_field_write(field, c->output, &err) != LMG_OK) {
+    if (write_box(field, c->output, c->lossless, &c->lost, &err) != LMG_OK) {
         lmg_field_destroy(field);
         return report_failure(&err);
     }

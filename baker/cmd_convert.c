@@ -30,6 +30,7 @@ enum {
     KEY_CELLS,
     KEY_LAYOUT,
     KEY_RESOLUTION,
+    KEY_LOSSLESS,
     KEY_FLUX,
     KEY_SEED,
     KEY_THREADS,
@@ -50,6 +51,7 @@ static const struct argp_option OPTIONS[] = {
     {"cells", KEY_CELLS, "N", 0, "size of a box in cells (default: by the number of rays)", 2},
     {"layout", KEY_LAYOUT, "KIND", 0, "of a box: auto, cube or aperture (default auto)", 2},
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 2},
+    {"lossless", KEY_LOSSLESS, 0, 0, "of a box: " LOSSLESS_HELP, 2},
     {"flux", KEY_FLUX, "LM", 0, "what the sources of a glTF lamp emit, as in bake", 3},
     LAMP_OPTIONS(3),
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 4},
@@ -78,7 +80,7 @@ typedef struct command {
     size_t near_count;
     double near[16], distance, step;
     char losses[512]; /* of a photometric file: what its format can't keep */
-    bool radiometric, quiet, json;
+    bool radiometric, lossless, quiet, json;
     double flux_lm;
     uint64_t seed;
     bake_convert_options options;
@@ -206,6 +208,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case KEY_RESOLUTION:
         argument_resolution(state, arg, c->options.fit.resolution);
         break;
+    case KEY_LOSSLESS:
+        c->lossless = true;
+        break;
     case KEY_FLUX:
         c->flux_lm = argument_lumens(state, "--flux", arg);
         break;
@@ -299,7 +304,7 @@ static lmg_result to_box(const command *c, const opened_source *a, bake_conversi
     if (result == LMG_OK)
         result = describe_box(c, a, r, field, err);
     if (result == LMG_OK)
-        result = lmg_field_write(field, c->output, err);
+        result = write_box(field, c->output, c->lossless, &(lmg_rounding){0}, err);
     lmg_field_destroy(field);
     return result;
 }

@@ -119,6 +119,8 @@ static json_t *info_json(const command *c, const lmg_field *field, uint64_t byte
     json_object_set_new(o, "box", json_string(c->box));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "memory", json_integer((json_int_t)lmg_field_memory(field)));
+    const lmg_rounding lost = lmg_field_rounding(field);
+    json_object_set_new(o, "rounding", json_pack("{s:o, s:o}", "loss", json_number(lost.loss), "half_loss", json_number(lost.half_loss)));
     json_object_set_new(o, "ledger", ledger);
     json_object_set_new(o, "channels", json_integer(y->channels));
     json_object_set_new(o, "colour", json_pack("[f,f,f]", (double)y->colour[0], (double)y->colour[1], (double)y->colour[2]));
@@ -155,7 +157,12 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
     const lmg_layout *y = lmg_field_layout(field);
     const lmg_ledger l = lmg_field_ledger(field);
     const char *unit = flux_unit(field);
-    printf("%s: %.1f MB, %.1f MB in memory\n", c->box, 1e-6 * (double)bytes, 1e-6 * (double)lmg_field_memory(field));
+    const lmg_rounding lost = lmg_field_rounding(field);
+    printf("%s: %.2f MB, %.1f MB in memory\n", c->box, 1e-6 * (double)bytes, 1e-6 * (double)lmg_field_memory(field));
+    if (lost.loss > 0 || lost.half_loss > 0)
+        printf("cells rounded: RMS %.2g of their standard errors, halves %.2g\n", lost.loss, lost.half_loss);
+    else
+        printf("lossless\n");
     printf("\nWhere the light went (%" PRIu64 " photons)\n", l.photons);
     printf("  emitted   %12.6g %s\n", l.emitted, unit);
     print_share("stored", unit, l.stored, l.stored_se, l.emitted);

@@ -9,11 +9,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { KEY_KEEP = 256, KEY_JSON };
+enum { KEY_KEEP = 256, KEY_LOSSLESS, KEY_JSON };
 
 static const struct argp_option OPTIONS[] = {
     {"output", 'o', "BOX", 0, "the file to write, NAME.box.exr", 1},
     {"keep", KEY_KEEP, 0, 0, "write BOX.part too, to merge or go on later", 1},
+    {"lossless", KEY_LOSSLESS, 0, 0, LOSSLESS_HELP, 1},
     {"quiet", 'q', 0, 0, "no summary", 2},
     {"json", KEY_JSON, 0, 0, "summary as JSON", 2},
     {0},
@@ -28,7 +29,7 @@ typedef struct command {
     char **parts;
     size_t count;
     const char *output;
-    bool keep, quiet, json;
+    bool keep, lossless, quiet, json;
 } command;
 
 static error_t parse(int key, char *arg, struct argp_state *state)
@@ -40,6 +41,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_KEEP:
         c->keep = true;
+        break;
+    case KEY_LOSSLESS:
+        c->lossless = true;
         break;
     case 'q':
         c->quiet = true;
@@ -120,7 +124,8 @@ int cmd_merge(int argc, char **argv)
     if (result == LMG_OK)
         result = bake_part_field(sum, &field, &err);
     int code = result == LMG_OK ? EXIT_DONE : report_error(result, &err);
-    if (result == LMG_OK && (lmg_field_write(field, c.output, &err) != LMG_OK || (c.keep && bake_part_write(sum, part, &err) != LMG_OK)))
+    lmg_rounding lost;
+    if (result == LMG_OK && (write_box(field, c.output, c.lossless, &lost, &err) != LMG_OK || (c.keep && bake_part_write(sum, part, &err) != LMG_OK)))
         code = report_failure(&err);
     if (code == EXIT_DONE) {
         const lmg_ledger l = lmg_field_ledger(field);

@@ -2,6 +2,8 @@
 /* Shared by the commands of lumibake: arguments, messages, exit codes, loading a lamp with its recipe. */
 #include "program.h"
 
+#include "bake.h"
+
 #include <luminaires/model.h>
 
 #include <errno.h>
@@ -154,6 +156,12 @@ void argument_resolution(const struct argp_state *state, const char *text, uint3
             usage_error(state, "--resolution: %lu is beyond 65535", v[i]);
         resolution[i] = (uint32_t)v[i];
     }
+}
+
+lmg_result write_box(const lmg_field *field, const char *path, bool lossless, lmg_rounding *lost, lmg_error *err)
+{
+    *lost = (lmg_rounding){0};
+    return lossless ? lmg_field_write(field, path, err) : lmg_field_write_rounded(field, path, BAKE_ROUNDING, lost, err);
 }
 
 lmg_result check_output(const char *output, const char *const *inputs, size_t count, lmg_error *err)

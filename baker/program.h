@@ -45,6 +45,10 @@ double argument_lumens(const struct argp_state *state, const char *option, const
 lmg_layout_choice argument_layout(const struct argp_state *state, const char *text);           /* --layout "cube" */
 void argument_resolution(const struct argp_state *state, const char *text, uint32_t resolution[4]); /* --resolution "32,32,0,0" */
 
+/* Writes a box, its cells rounded unless it is to be lossless (--lossless).  lost: what rounding changed. */
+#define LOSSLESS_HELP "keep every bit of the cells, noise and all: a file two to six times as large"
+lmg_result write_box(const lmg_field *field, const char *path, bool lossless, lmg_rounding *lost, lmg_error *err);
+
 /* Whether output can be written, asked before anything costly is done: its folder takes files, it is no folder itself and none of the
  * inputs. */
 lmg_result check_output(const char *output, const char *const *inputs, size_t count, lmg_error *err);

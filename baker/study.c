@@ -66,7 +66,7 @@ static lmg_result bake_rung(ladder *l, bool resolution, uint64_t photons, uint64
         rung->cells += (uint64_t)slab->nu * slab->nv * slab->ns * slab->nt;
     }
     const double began = bake_clock();
-    result = lmg_field_write(field, l->path, err);
+    result = lmg_field_write_rounded(field, l->path, BAKE_ROUNDING, NULL, err);
     rung->write_seconds = bake_clock() - began;
     struct stat status = {0};
     if (result == LMG_OK && stat(l->path, &status) == 0)

@@ -7,8 +7,8 @@
 
 #include <stdbool.h>
 
-/* The format that docs/format.md describes. */
-enum { LMG_BOX_VERSION = 1 };
+/* The formats that docs/format.md describes: cells to the bit; cells rounded (cell_code.h). */
+enum { LMG_BOX_EXACT = 1, LMG_BOX_ROUNDED = 2 };
 
 /* The ten numbers of the ledger in the order of the file and the hash. */
 enum { LMG_LEDGER_ENTRIES = 5 };
@@ -25,6 +25,8 @@ typedef struct lmg_tiles {
     uint64_t run;                      /* tiles per piece of work */
     uint64_t first, end;               /* tiles that the work is about */
     uint64_t *hashes;                  /* one per tile */
+    const double *units;               /* of rounded cells, one per slab; NULL: cells to the bit */
+    lmg_rounding rounding;             /* of these */
 } lmg_tiles;
 
 /* At least this much data to a piece of work, so that handing it out costs nothing beside it. */

@@ -46,11 +46,12 @@ static uint64_t hash_vec3(uint64_t hash, lmg_vec3 v)
     return hash_f64(hash_f64(hash_f64(hash, v.x), v.y), v.z);
 }
 
-static uint64_t hash_metadata(const lmg_field *field)
+static uint64_t hash_metadata(const lmg_tiles *t)
 {
+    const lmg_field *field = t->field;
     const lmg_layout *l = &field->layout;
     uint64_t h = lmg_hash(hash_start, "LUMIBOX", 7);
-    h = hash_u32(h, LMG_BOX_VERSION);
+    h = hash_u32(h, t->units ? LMG_BOX_ROUNDED : LMG_BOX_EXACT);
     h = hash_u32(h, l->slab_count);
     h = hash_u32(h, l->channels);
     for (int i = 0; i < 3; i++) {
@@ -65,6 +66,9 @@ static uint64_t hash_metadata(const lmg_field *field)
     for (int i = 0; i < LMG_LEDGER_ENTRIES; i++) {
         h = hash_f64(hash_f64(h, ledger[i][0]), ledger[i][1]);
     }
+    if (t->units) {
+        h = hash_f64(hash_f64(h, t->rounding.loss), t->rounding.half_loss);
+    }
     for (uint32_t i = 0; i < l->slab_count; i++) {
         const lmg_slab *s = &l->slabs[i];
         h = hash_u32(h, (uint32_t)s->kind);
@@ -75,6 +79,7 @@ static uint64_t hash_metadata(const lmg_field *field)
         h = hash_f64(hash_f64(h, s->s0), s->s1);
         h = hash_f64(hash_f64(h, s->t0), s->t1);
         h = hash_u32(hash_u32(hash_u32(hash_u32(h, s->nu), s->nv), s->ns), s->nt);
+        h = t->units ? hash_f64(h, t->units[i]) : h;
     }
     h = hash_u32(h, (uint32_t)field->text_count);
     for (size_t i = 0; i < field->text_count;
@@ -94,9 +99,14 @@ uint64_t lmg_hash_tile(const lmg_tiles *t, uint32_t slab, uint64_t tile_in_slab)
     return lmg_hash(h, data->half_a + first, (size_t)cells * sizeof(float));
 }
 
+uint64_t lmg_hash_codes(const void *codes, uint64_t count)
+{
+    return lmg_hash(hash_start, codes, (size_t)count * sizeof(uint16_t));
+}
+
 uint64_t lmg_hash_field(const lmg_tiles *t)
 {
-    uint64_t h = hash_metadata(t->field);
+    uint64_t h = hash_metadata(t);
     for (uint64_t i = 0; i < t->start[t->layout->slab_count]; i++) {
         h = hash_u64(h, t->hashes[i]);
     }

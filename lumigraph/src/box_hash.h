@@ -8,6 +8,9 @@
 /* The hash of one tile's cells. */
 uint64_t lmg_hash_tile(const lmg_tiles *t, uint32_t slab, uint64_t tile_in_slab);
 
+/* The same of rounded cells: of the tile's bytes before packing. */
+uint64_t lmg_hash_codes(const void *codes, uint64_t count);
+
 /* The hash of the whole field, from what isn't cells and from t->hashes, which hold every tile's. */
 uint64_t lmg_hash_field(const lmg_tiles *t);
 

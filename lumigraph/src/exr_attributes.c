@@ -8,6 +8,7 @@
 #include "exr_check.h"
 
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -202,7 +203,23 @@ static lmg_result read_slab(lmg_exr_file *file, uint32_t index, lmg_slab *s, lmg
     return LMG_OK;
 }
 
-lmg_result lmg_exr_read_layout(lmg_exr_file *file, lmg_layout *layout, lmg_error *err)
+lmg_result lmg_exr_read_units(lmg_exr_file *file, uint32_t slabs, double units[LMG_MAX_SLABS], lmg_rounding *rounding, lmg_error *err)
+{
+    LMG_TRY(get_v2d(file, 0, "lumibox.rounding", &rounding->loss, &rounding->half_loss, err));
+    if (!isfinite(rounding->loss) || !isfinite(rounding->half_loss) || rounding->loss < 0 || rounding->half_loss < 0) {
+        return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: says that rounding lost %g and %g of the noise", file->where, rounding->loss,
+                        rounding->half_loss);
+    }
+    for (uint32_t i = 0; i < slabs; i++) {
+        LMG_TRY(get_double(file, (int)i, "lumibox.unit", &units[i], err));
+        if (!(units[i] > 0) || !isfinite(units[i])) {
+            return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: part %u: the unit %g isn't positive and finite", file->where, i, units[i]);
+        }
+    }
+    return LMG_OK;
+}
+
+lmg_result lmg_exr_read_layout(lmg_exr_file *file, lmg_layout *layout, int32_t *version, lmg_error *err)
 {
     int parts = 0;
     exr_result_t exr = exr_get_count(file->context, &parts);
@@ -211,10 +228,11 @@ lmg_result lmg_exr_read_layout(lmg_exr_file *file, lmg_layout *layout, lmg_error
     }
     int32_t number;
     LMG_TRY(get_int(file, 0, "lumibox.version", &number, err));
-    if (number != LMG_BOX_VERSION) {
-        return lmg_fail(err, LMG_ERROR_FILE_VERSION, "%s: box format version %d; this library (%s) reads version %d", file->where,
-                        (int)number, LMG_VERSION_STRING, LMG_BOX_VERSION);
+    if (number != LMG_BOX_EXACT && number != LMG_BOX_ROUNDED) {
+        return lmg_fail(err, LMG_ERROR_FILE_VERSION, "%s: box format version %d; this library (%s) reads versions 1 and 2", file->where,
+                        (int)number, LMG_VERSION_STRING);
     }
+    *version = number;
     LMG_TRY(get_int(file, 0, "lumibox.slabs", &number, err));
     if (number != parts || parts < 1 || parts > LMG_MAX_SLABS) {
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: says it has %d slabs, but has %d parts", file->where, (int)number, parts);
@@ -225,6 +243,10 @@ lmg_result lmg_exr_read_layout(lmg_exr_file *file, lmg_layout *layout, lmg_error
     exr = exr_get_channels(file->context, 0, &channels);
     if (exr != EXR_ERR_SUCCESS) {
         return lmg_exr_fail(err, LMG_ERROR_FILE_FORMAT, file, "can't get the channels", exr);
+    }
+    if ((channels->entries[0].pixel_type == EXR_PIXEL_HALF) != (*version == LMG_BOX_ROUNDED)) {
+        return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: says it has format version %d, but its pixels are of another type", file->where,
+                        (int)*version);
     }
     if ((number != 1 && number != 3) || channels->num_channels != number + 2) {
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s: says it has %d colour channels, but its parts hold %d channels in all",
@@ -337,9 +359,10 @@ static void set_v2i(attribute_setter *s, const char *name, uint32_t x, uint32_t 
     note(s, exr_attr_set_v2i(s->context, s->part, name, &v));
 }
 
-static void set_part(attribute_setter *s, const lmg_layout *l, uint32_t slab, int32_t display_width, int32_t display_height,
+static void set_part(attribute_setter *s, const lmg_tiles *tiles, uint32_t slab, int32_t display_width, int32_t display_height,
                      exr_compression_t compression)
 {
+    const lmg_layout *l = tiles->layout;
     const lmg_slab *geometry = &l->slabs[slab];
     char name[16];
     snprintf(name, sizeof name, "slab%02u", slab);
@@ -356,9 +379,14 @@ static void set_part(attribute_setter *s, const lmg_layout *l, uint32_t slab, in
     note(s, exr_initialize_required_attr(s->context, s->part, &display, &data, 1.0f, &center, 1.0f, EXR_LINEORDER_INCREASING_Y,
                                          compression));
     static const char *const one[] = {"Y", "half_a.Y", "stderr.Y"}, *const three[] = {"B", "G", "R", "half_a.Y", "stderr.Y"};
+    static const char *const rounded[] = {"BY", "RY", "Y", "difference", "weight"};
     for (uint32_t c = 0; c < l->channels + 2; c++) {
-        note(s, exr_add_channel(s->context, s->part, l->channels == 1 ? one[c] : three[c], EXR_PIXEL_FLOAT, EXR_PERCEPTUALLY_LINEAR,
+        const char *channel = tiles->units != NULL ? rounded[c + 3 - l->channels] : l->channels == 1 ? one[c] : three[c];
+        note(s, exr_add_channel(s->context, s->part, channel, tiles->units != NULL ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT, EXR_PERCEPTUALLY_LINEAR,
                                 1, 1));
+    }
+    if (tiles->units != NULL) {
+        note(s, exr_attr_set_double(s->context, s->part, "lumibox.unit", tiles->units[slab]));
     }
     note(s, exr_set_tile_descriptor(s->context, s->part, geometry->ns, geometry->nt, EXR_TILE_ONE_LEVEL, EXR_TILE_ROUND_DOWN));
     note(s, exr_attr_set_float(s->context, s->part, "whiteLuminance", 1.0f)); /* R = G = B = 1 is 1 cd/m2 */
@@ -377,9 +405,10 @@ static void set_part(attribute_setter *s, const lmg_layout *l, uint32_t slab, in
     set_v2i(s, "lumibox.stCells", geometry->ns, geometry->nt);
 }
 
-lmg_result lmg_exr_write_header(lmg_exr_file *file, const lmg_field *field, exr_compression_t compression, uint64_t hash,
+lmg_result lmg_exr_write_header(lmg_exr_file *file, const lmg_tiles *tiles, exr_compression_t compression, uint64_t hash,
                                 lmg_error *err)
 {
+    const lmg_field *field = tiles->field;
     const lmg_layout *l = &field->layout;
     attribute_setter s = {.context = file->context};
     bool long_names = false;
@@ -394,11 +423,11 @@ lmg_result lmg_exr_write_header(lmg_exr_file *file, const lmg_field *field, exr_
         display_height = height > display_height ? height : display_height;
     }
     for (uint32_t i = 0; i < l->slab_count; i++) {
-        set_part(&s, l, i, display_width, display_height, compression);
+        set_part(&s, tiles, i, display_width, display_height, compression);
     }
     s.part = 0;
     char number[24];
-    note(&s, exr_attr_set_int(s.context, 0, "lumibox.version", LMG_BOX_VERSION));
+    note(&s, exr_attr_set_int(s.context, 0, "lumibox.version", tiles->units != NULL ? LMG_BOX_ROUNDED : LMG_BOX_EXACT));
     note(&s, exr_attr_set_int(s.context, 0, "lumibox.slabs", (int32_t)l->slab_count));
     note(&s, exr_attr_set_int(s.context, 0, "lumibox.channels", (int32_t)l->channels));
     exr_attr_v3f_t colour;
@@ -411,6 +440,9 @@ lmg_result lmg_exr_write_header(lmg_exr_file *file, const lmg_field *field, exr_
     note(&s, exr_attr_set_double(s.context, 0, "lumibox.size", l->size));
     snprintf(number, sizeof number, "%" PRIu64, field->ledger.photons);
     note(&s, exr_attr_set_string(s.context, 0, "lumibox.photons", number));
+    if (tiles->units != NULL) {
+        set_v2d(&s, "lumibox.rounding", tiles->rounding.loss, tiles->rounding.half_loss);
+    }
     double ledger[LMG_LEDGER_ENTRIES][2];
     lmg_ledger_get(&field->ledger, ledger);
     for (int i = 0; i < LMG_LEDGER_ENTRIES; i++) {

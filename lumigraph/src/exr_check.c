@@ -20,7 +20,7 @@ enum { DEFLATE_MAX_RATIO = 1032 };
 
 enum { VERSION_NUMBER = 2, FLAG_TILED = 0x200, FLAG_LONG_NAMES = 0x400, FLAG_MULTI_PART = 0x1000 };
 enum { COMPRESSION_NONE = 0, COMPRESSION_ZIPS = 2, COMPRESSION_ZIP = 3 };
-enum { PIXEL_FLOAT = 2 };
+enum { PIXEL_HALF = 1, PIXEL_FLOAT = 2 };
 
 typedef struct scan {
     const unsigned char *bytes;
@@ -31,7 +31,7 @@ typedef struct scan {
 
 /* What the rest of the file is compared with. */
 typedef struct part_shape {
-    uint32_t width, height, tile_width, tile_height, channels;
+    uint32_t width, height, tile_width, tile_height, channels, sample_bytes;
     uint32_t columns, rows; /* of tiles */
     int compression;
     uint64_t tile_bytes; /* unpacked */
@@ -169,8 +169,8 @@ static lmg_result take_attribute(scan *s, attribute *a)
     return LMG_OK;
 }
 
-/* The channel list is one of exactly two, so it's compared with what it has to be, byte by byte. */
-static bool match_channels(const attribute *a, const char *const *names, size_t count)
+/* The channel list is one of exactly four, so it's compared with what it has to be, byte by byte. */
+static bool match_channels(const attribute *a, uint32_t type, const char *const *names, size_t count)
 {
     size_t at = 0;
     for (size_t i = 0; i < count; i++) {
@@ -180,7 +180,7 @@ static bool match_channels(const attribute *a, const char *const *names, size_t 
         }
         /* pixel type; then pLinear and three reserved bytes, which say nothing here; then x and y sampling */
         const unsigned char *entry = a->value + at + length;
-        if (get_u32(entry) != PIXEL_FLOAT || get_u32(entry + 8) != 1 || get_u32(entry + 12) != 1 || entry[4] > 1) {
+        if (get_u32(entry) != type || get_u32(entry + 8) != 1 || get_u32(entry + 12) != 1 || entry[4] > 1) {
             return false;
         }
         at += length + 16;
@@ -220,6 +220,7 @@ static lmg_result check_standard(scan *s, const attribute *a, uint32_t part, par
 {
     static const char *const one[] = {"Y", "half_a.Y", "stderr.Y"};
     static const char *const three[] = {"B", "G", "R", "half_a.Y", "stderr.Y"};
+    static const char *const rounded[] = {"BY", "RY", "Y", "difference", "weight"};
     size_t i = 0;
     while (i < sizeof standard / sizeof standard[0] && !is(a, standard[i].name)) {
         i++;
@@ -237,10 +238,13 @@ static lmg_result check_standard(scan *s, const attribute *a, uint32_t part, par
     *seen |= standard[i].seen;
     switch (standard[i].seen) {
     case SEEN_CHANNELS:
-        shape->channels = match_channels(a, one, 3) ? 1 : match_channels(a, three, 5) ? 3 : 0;
+        shape->channels = match_channels(a, PIXEL_FLOAT, one, 3) || match_channels(a, PIXEL_HALF, rounded + 2, 3)   ? 1
+                          : match_channels(a, PIXEL_FLOAT, three, 5) || match_channels(a, PIXEL_HALF, rounded, 5) ? 3
+                                                                                                                  : 0;
+        shape->sample_bytes = match_channels(a, PIXEL_FLOAT, shape->channels == 1 ? one : three, shape->channels + 2) ? 4 : 2;
         if (shape->channels == 0) {
             return fail(s, LMG_ERROR_FILE_FORMAT, "not a box file: part %u doesn't hold the channels Y (or R, G, B), half_a.Y and stderr.Y as 32-bit "
-                        "floats", part);
+                        "floats, nor Y (or Y, RY, BY), difference and weight as 16-bit ones", part);
         }
         break;
     case SEEN_COMPRESSION:
@@ -354,7 +358,7 @@ static lmg_result check_header(scan *s, uint32_t part, part_shape *shape)
     shape->columns = shape->width / shape->tile_width;
     shape->rows = shape->height / shape->tile_height;
     /* below 2^16 * 2^16 * 20: fits */
-    shape->tile_bytes = (uint64_t)shape->tile_width * shape->tile_height * (shape->channels + 2) * sizeof(float);
+    shape->tile_bytes = (uint64_t)shape->tile_width * shape->tile_height * (shape->channels + 2) * shape->sample_bytes;
     const uint64_t chunks = (uint64_t)shape->columns * shape->rows;
     if (shape->tile_bytes > INT32_MAX || chunks > INT32_MAX) {
         return fail(s, LMG_ERROR_FILE_FORMAT, "part %u has tiles larger or more numerous than EXR can hold", part);
@@ -436,7 +440,7 @@ lmg_result lmg_exr_check(const unsigned char *bytes, size_t size, lmg_exr_fault 
         if (result != LMG_OK) {
             return result;
         }
-        if (shapes[parts].channels != shapes[0].channels) {
+        if (shapes[parts].channels != shapes[0].channels || shapes[parts].sample_bytes != shapes[0].sample_bytes) {
             return fail(&s, LMG_ERROR_FILE_FORMAT, "not a box file: parts 0 and %u have different channels", parts);
         }
         parts++;

@@ -8,6 +8,7 @@
  * many there are.
  */
 #include "box_hash.h"
+#include "cell_code.h"
 #include "exr_attributes.h"
 #include "exr_check.h"
 #include "file_message.h"
@@ -30,6 +31,9 @@ typedef struct reader {
     lmg_layout layout;
     lmg_field *field;
     lmg_tiles tiles;
+    int32_t version;
+    double units[LMG_MAX_SLABS];     /* of rounded cells */
+    double *scales[LMG_MAX_SLABS];   /* lmg_code_scales; NULL: cells to the bit */
 } reader;
 
 /* A thread's decoder; one is good for all tiles of a part, so it's renewed when the part changes. */
@@ -69,6 +73,20 @@ static exr_result_t decode(const reader *r, decoder *d, int part, const exr_chun
     return exr;
 }
 
+/* Lines of rounded cells; false when a number in them can't be. */
+static bool read_rounded(const reader *r, uint32_t slab, uint64_t first, const unsigned char *from)
+{
+    const lmg_slab *s = &r->layout.slabs[slab];
+    const lmg_slab_data *data = &r->field->slabs[slab];
+    const uint32_t channels = r->layout.channels;
+    bool sound = true;
+    for (uint32_t it = 0; it < s->nt; it++, first += s->ns, from += (size_t)s->ns * (channels + 2) * sizeof(uint16_t)) {
+        sound &= lmg_decode_line(from, s->ns, channels, r->scales[slab] + (size_t)it * s->ns, data->radiance + first * channels,
+                                 data->standard_error + first, data->half_a + first);
+    }
+    return sound;
+}
+
 static lmg_result read_tile(reader *r, decoder *d, uint32_t slab, uint64_t tile_in_slab, lmg_error *err)
 {
     const lmg_slab *s = &r->layout.slabs[slab];
@@ -78,7 +96,7 @@ static lmg_result read_tile(reader *r, decoder *d, uint32_t slab, uint64_t tile_
     exr_chunk_info_t chunk;
     exr_result_t exr = exr_read_tile_chunk_info(r->file.context, part, column, row, 0, 0, &chunk);
     if (exr == EXR_ERR_SUCCESS &&
-        (chunk.unpacked_size != cells * (channels + 2) * sizeof(float) || chunk.data_offset > r->file.stream.size ||
+        (chunk.unpacked_size != cells * (channels + 2) * (r->scales[slab] != NULL ? sizeof(uint16_t) : sizeof(float)) || chunk.data_offset > r->file.stream.size ||
          chunk.packed_size > r->file.stream.size - chunk.data_offset)) {
         exr = EXR_ERR_CORRUPT_CHUNK;
     }
@@ -92,9 +110,11 @@ static lmg_result read_tile(reader *r, decoder *d, uint32_t slab, uint64_t tile_
     if (exr != EXR_ERR_SUCCESS) {
         return lmg_exr_fail(err, LMG_ERROR_FILE_READ, &r->file, "damaged: a tile can't be decoded", exr);
     }
+    const bool rounded = r->scales[slab] != NULL, decoded = !rounded || read_rounded(r, slab, first, from);
+    const unsigned char *const codes = from;
     /* a line of the tile holds its channels one after the other, sorted by name: B, G, R or Y, then half_a.Y, stderr.Y */
     const size_t line_bytes = s->ns * sizeof(float);
-    for (uint32_t it = 0; it < s->nt; it++) {
+    for (uint32_t it = 0; !rounded && it < s->nt; it++) {
         const uint64_t line = first + (uint64_t)it * s->ns;
         for (uint32_t c = 0; c < channels; c++) {
             if (channels == 1) {
@@ -111,12 +131,13 @@ static lmg_result read_tile(reader *r, decoder *d, uint32_t slab, uint64_t tile_
         memcpy(data->standard_error + line, from + line_bytes, line_bytes);
         from += 2 * line_bytes;
     }
-    if (!lmg_tile_is_sound(&r->tiles, slab, tile_in_slab)) {
+    if (!decoded || !lmg_tile_is_sound(&r->tiles, slab, tile_in_slab)) {
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT,
                         "%s: part %d, tile %d,%d holds a value that is no finite number, or a negative standard error",
                         r->file.where, part, column, row);
     }
-    r->tiles.hashes[r->tiles.start[slab] + tile_in_slab] = lmg_hash_tile(&r->tiles, slab, tile_in_slab);
+    r->tiles.hashes[r->tiles.start[slab] + tile_in_slab] =
+        rounded ? lmg_hash_codes(codes, cells * (channels + 2)) : lmg_hash_tile(&r->tiles, slab, tile_in_slab);
     return LMG_OK;
 }
 
@@ -142,7 +163,7 @@ static void read_end(void *self, void *scratch)
 
 static lmg_result read_all(reader *r, lmg_error *err)
 {
-    LMG_TRY(lmg_exr_read_layout(&r->file, &r->layout, err));
+    LMG_TRY(lmg_exr_read_layout(&r->file, &r->layout, &r->version, err));
     uint64_t hash;
     LMG_TRY(lmg_exr_read_hash(&r->file, &hash, err));
     lmg_error reason = {.message = ""};
@@ -155,6 +176,17 @@ static lmg_result read_all(reader *r, lmg_error *err)
 
     lmg_tiles_init(&r->tiles, &r->field->layout);
     r->tiles.field = r->field;
+    if (r->version == LMG_BOX_ROUNDED) {
+        LMG_TRY(lmg_exr_read_units(&r->file, r->layout.slab_count, r->units, &r->field->rounding, err));
+        r->tiles.units = r->units;
+        r->tiles.rounding = r->field->rounding;
+        for (uint32_t i = 0; i < r->layout.slab_count; i++) {
+            r->scales[i] = lmg_code_scales(&r->layout.slabs[i], r->units[i]);
+            if (r->scales[i] == NULL) {
+                return lmg_fail(err, LMG_ERROR_MEMORY, "%s: no memory for decoding", r->file.where);
+            }
+        }
+    }
     r->tiles.hashes = calloc((size_t)r->tiles.end, sizeof *r->tiles.hashes);
     if (r->tiles.hashes == NULL) {
         return lmg_fail(err, LMG_ERROR_MEMORY, "%s: no memory for the hashes of %" PRIu64 " tiles", r->file.where, r->tiles.end);
@@ -212,6 +244,9 @@ lmg_result lmg_field_read_memory(const void *bytes, size_t size, const char *nam
         lmg_field_destroy(r->field);
     }
     free(r->tiles.hashes);
+    for (uint32_t i = 0; i < LMG_MAX_SLABS; i++) {
+        free(r->scales[i]);
+    }
     pthread_mutex_destroy(&r->file.stream.lock);
     free(r);
     return result;

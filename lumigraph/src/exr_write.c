@@ -6,6 +6,7 @@
  * Tiles are independent, so hashing and encoding are shared out over the processors; the file doesn't depend on how many there are.
  */
 #include "box_hash.h"
+#include "cell_code.h"
 #include "exr_attributes.h"
 #include "file_message.h"
 #include "exr_write.h"
@@ -21,7 +22,7 @@
 
 /* Measured on boxes of 1 to 14 million cells (tests/bench/bench_io.c): level 4 writes two to six times as fast as 9 and is 1 to 2 %
  * larger. */
-enum { ZIP_LEVEL = 4 };
+enum { ZIP_LEVEL = 4, ROUNDED_ZIP_LEVEL = 6 };
 
 /* The packed form of one tile on its way from the thread that made it to the file. */
 typedef struct packed_tile {
@@ -34,6 +35,7 @@ typedef struct writer {
     const lmg_field *field;
     exr_compression_t compression;
     int level;
+    const lmg_codes *codes; /* cells to be rounded, or NULL */
     lmg_tiles tiles;
     packed_tile *packed; /* tiles.end - tiles.first of them */
 } writer;
@@ -92,6 +94,15 @@ static lmg_result pack_tile(writer *w, encoder *e, uint32_t slab, uint64_t tile_
         const uint64_t channels = w->field->layout.channels, first = tile_in_slab * lmg_tile_cells(s);
         for (int c = 0; c < e->pipeline.channel_count; c++) {
             exr_coding_channel_info_t *info = &e->pipeline.channels[c];
+            if (w->codes != NULL) {
+                const uint64_t count = channels + 2;
+                info->encode_from_ptr = (const uint8_t *)(w->codes->of[slab] + first * count + (uint64_t)c * s->ns);
+                info->user_data_type = EXR_PIXEL_HALF;
+                info->user_bytes_per_element = sizeof(uint16_t);
+                info->user_pixel_stride = sizeof(uint16_t);
+                info->user_line_stride = (int32_t)(count * sizeof(uint16_t) * s->ns);
+                continue;
+            }
             const float *from;
             uint64_t step = 1;
             if (strcmp(info->channel_name, "half_a.Y") == 0) {
@@ -157,7 +168,9 @@ static lmg_result hash_run(void *self, uint64_t index, void *scratch, lmg_error 
                             "%s: slab %u, cell u %u, v %u holds a value that is no finite number, or a negative standard error",
                             w->file.where, slab, (unsigned)(tile_in_slab % nu), (unsigned)(tile_in_slab / nu));
         }
-        w->tiles.hashes[tile] = lmg_hash_tile(&w->tiles, slab, tile_in_slab);
+        const uint64_t cells = lmg_tile_cells(&w->field->layout.slabs[slab]), count = w->field->layout.channels + 2;
+        w->tiles.hashes[tile] = w->codes != NULL ? lmg_hash_codes(w->codes->of[slab] + tile_in_slab * cells * count, cells * count)
+                                                 : lmg_hash_tile(&w->tiles, slab, tile_in_slab);
     }
     return LMG_OK;
 }
@@ -211,6 +224,10 @@ static lmg_result write_exr(writer *w, const char *path, lmg_error *err)
 {
     lmg_tiles_init(&w->tiles, &w->field->layout);
     w->tiles.field = w->field;
+    if (w->codes != NULL) {
+        w->tiles.units = w->codes->units;
+        w->tiles.rounding = w->codes->rounding;
+    }
     w->tiles.hashes = calloc((size_t)w->tiles.end, sizeof *w->tiles.hashes);
     w->file.stream.buffer = malloc(LMG_EXR_WRITE_BUFFER);
     lmg_result result = LMG_OK;
@@ -230,7 +247,7 @@ static lmg_result write_exr(writer *w, const char *path, lmg_error *err)
             result = lmg_exr_fail(err, LMG_ERROR_FILE_WRITE, &w->file, "can't start writing", exr);
         }
         if (result == LMG_OK) {
-            result = lmg_exr_write_header(&w->file, w->field, w->compression, lmg_hash_field(&w->tiles), err);
+            result = lmg_exr_write_header(&w->file, &w->tiles, w->compression, lmg_hash_field(&w->tiles), err);
         }
         if (result == LMG_OK) {
             result = write_tiles(w, err);
@@ -296,12 +313,8 @@ static void sync_directory(const char *path)
     }
 }
 
-lmg_result lmg_field_write(const lmg_field *field, const char *path, lmg_error *err)
-{
-    return lmg_field_write_as(field, path, LMG_EXR_ZIP, ZIP_LEVEL, err);
-}
-
-lmg_result lmg_field_write_as(const lmg_field *field, const char *path, lmg_exr_compression compression, int level, lmg_error *err)
+static lmg_result write_field(const lmg_field *field, const lmg_codes *codes, const char *path, lmg_exr_compression compression, int level,
+                              lmg_error *err)
 {
     if (field == NULL || path == NULL || path[0] == 0) {
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "lmg_field_write: no field or no path");
@@ -321,6 +334,7 @@ lmg_result lmg_field_write_as(const lmg_field *field, const char *path, lmg_exr_
         return lmg_fail(err, LMG_ERROR_MEMORY, "%s: no memory", where.text);
     }
     w->field = field;
+    w->codes = codes;
     w->file.where = where.text;
     w->compression = compression == LMG_EXR_NONE   ? EXR_COMPRESSION_NONE
                      : compression == LMG_EXR_ZIPS ? EXR_COMPRESSION_ZIPS
@@ -350,4 +364,32 @@ lmg_result lmg_field_write_as(const lmg_field *field, const char *path, lmg_exr_
     pthread_mutex_destroy(&w->file.stream.lock);
     free(w);
     return result;
+}
+
+lmg_result lmg_field_write(const lmg_field *field, const char *path, lmg_error *err)
+{
+    return lmg_field_write_as(field, path, LMG_EXR_ZIP, ZIP_LEVEL, err);
+}
+
+lmg_result lmg_field_write_rounded(const lmg_field *field, const char *path, double loss, lmg_rounding *out, lmg_error *err)
+{
+    if (field == NULL || !(loss > 0 && loss <= 1)) {
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "lmg_field_write_rounded: no field, or a loss of %g; above 0 and at most 1 is possible", loss);
+    }
+    lmg_codes codes;
+    bool possible;
+    lmg_result result = lmg_codes_create(&codes, field, loss, &possible, err);
+    if (result == LMG_OK) {
+        result = write_field(field, possible ? &codes : NULL, path, LMG_EXR_ZIP, possible ? ROUNDED_ZIP_LEVEL : ZIP_LEVEL, err);
+    }
+    if (out != NULL) {
+        *out = codes.rounding;
+    }
+    lmg_codes_destroy(&codes);
+    return result;
+}
+
+lmg_result lmg_field_write_as(const lmg_field *field, const char *path, lmg_exr_compression compression, int level, lmg_error *err)
+{
+    return write_field(field, NULL, path, compression, level, err);
 }

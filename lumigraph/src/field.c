@@ -53,6 +53,11 @@ const lmg_layout *lmg_field_layout(const lmg_field *field)
     return &field->layout;
 }
 
+lmg_rounding lmg_field_rounding(const lmg_field *field)
+{
+    return field->rounding;
+}
+
 lmg_ledger lmg_field_ledger(const lmg_field *field)
 {
     return field->ledger;

@@ -30,6 +30,7 @@ struct lmg_field {
     lmg_text *texts; /* sorted by name */
     size_t text_count;
     lmg_sampler *sampler;
+    lmg_rounding rounding; /* of the file it was read from */
 };
 
 /* field.c: an empty field with zeroed cells for the layout (already checked). */

@@ -2,6 +2,7 @@
 /* docs/format.md, read and obeyed; relies on zlib for inflating and on a little-endian machine.  Section names are those of the text. */
 #include "box_reader.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -67,7 +68,7 @@ typedef struct part {
 static void read_header(parser *p, box *b, int number, part *out)
 {
     box_slab *s = &b->slab[number];
-    int32_t version = 1, slabs = 0;
+    int32_t slabs = 0;
     const wanted list[] = {
         {"dataWindow", "box2i", out->data_window, 16},
         {"tiles", "tiledesc", out->tiles, 9},
@@ -84,7 +85,9 @@ static void read_header(parser *p, box *b, int number, part *out)
         {"lumibox.t", "v2d", s->t, 16},
         {"lumibox.uvCells", "v2i", out->uv, 8},
         {"lumibox.stCells", "v2i", out->st, 8},
-        {"lumibox.version", "int", &version, 4},
+        {"lumibox.version", "int", &b->version, 4},
+        {"lumibox.unit", "double", &s->unit, 8},
+        {"lumibox.rounding", "v2d", b->rounding, 16},
         {"lumibox.slabs", "int", &slabs, 4},
         {"lumibox.channels", "int", &b->channels, 4},
         {"lumibox.colour", "v3f", b->colour, 12},
@@ -132,7 +135,7 @@ static void read_header(parser *p, box *b, int number, part *out)
     s->nv = (uint32_t)out->uv[1];
     s->ns = (uint32_t)out->st[0];
     s->nt = (uint32_t)out->st[1];
-    if (p->wrong == NULL && version != 1) {
+    if (p->wrong == NULL && b->version != 1 && b->version != 2) {
         p->wrong = "lumibox.version";
     } else if (p->wrong == NULL && (out->index != number || (uint32_t)out->data_window[2] + 1 != s->nu * s->ns ||
                                     (uint32_t)out->data_window[3] + 1 != s->nv * s->nt)) {
@@ -158,10 +161,48 @@ static int unzip(const unsigned char *packed, size_t packed_size, unsigned char 
     return good;
 }
 
+/* A half float: IEEE 754 binary16. */
+static double half(uint16_t h)
+{
+    const int exponent = h >> 10 & 31, fraction = h & 1023;
+    const double size = exponent == 0 ? ldexp(fraction, -24) : ldexp(1024 + fraction, exponent - 25);
+    return h >> 15 ? -size : size;
+}
+
+/* Section "Rounded cells". */
+static void decode_tile(const box *b, box_slab *s, size_t first)
+{
+    const size_t channels = (size_t)b->channels, count = channels + 2;
+    for (uint32_t it = 0; it < s->nt; it++) {
+        const uint16_t *line = s->codes + (first + (size_t)it * s->ns) * count;
+        for (uint32_t is = 0; is < s->ns; is++) {
+            const size_t cell = first + (size_t)it * s->ns + is;
+            double scale = s->unit;
+            if (!s->aperture && isinf(s->distance)) {
+                const double x = s->s[0] + (s->s[1] - s->s[0]) * (is + 0.5) / s->ns, y = s->t[0] + (s->t[1] - s->t[0]) * (it + 0.5) / s->nt;
+                const double w = 1 + x * x + y * y;
+                scale = s->unit * (w * w);
+            }
+            const uint16_t *y = line + (channels == 3 ? 2 * s->ns : 0);
+            const double photons = half(y[is]), luminance = photons * scale;
+            s->half_a[cell] = (float)(luminance * (1 + half(y[s->ns + is])));
+            s->standard_error[cell] = (float)(sqrt(half(y[2 * s->ns + is]) * photons) * scale);
+            if (channels == 1) {
+                s->radiance[cell] = (float)luminance;
+            } else {
+                const double red = luminance * (1 + half(line[s->ns + is])), blue = luminance * (1 + half(line[is]));
+                s->radiance[3 * cell] = (float)red;
+                s->radiance[3 * cell + 1] = (float)((luminance - 0.2126 * red - 0.0722 * blue) / 0.7152);
+                s->radiance[3 * cell + 2] = (float)blue;
+            }
+        }
+    }
+}
+
 static void read_tile(parser *p, box *b, int number, uint32_t iu, uint32_t iv, int multi_part)
 {
     box_slab *s = &b->slab[number];
-    const size_t lines = s->nt, width = s->ns, channels = (size_t)b->channels, size = lines * width * (channels + 2) * 4;
+    const size_t lines = s->nt, width = s->ns, channels = (size_t)b->channels, size = lines * width * (channels + 2) * (b->version == 2 ? 2 : 4);
     if (multi_part && take_int(p) != number) {
         p->wrong = "part number of a tile";
     }
@@ -180,7 +221,12 @@ static void read_tile(parser *p, box *b, int number, uint32_t iu, uint32_t iv, i
             p->wrong = "a tile doesn't inflate";
         }
     }
-    for (size_t it = 0; p->wrong == NULL && unpacked != NULL && it < lines; it++) {
+    if (p->wrong == NULL && unpacked != NULL && b->version == 2) {
+        const size_t first = ((size_t)iv * s->nu + iu) * lines * width;
+        memcpy(s->codes + first * (channels + 2), unpacked, size);
+        decode_tile(b, s, first);
+    }
+    for (size_t it = 0; p->wrong == NULL && unpacked != NULL && b->version == 1 && it < lines; it++) {
         const unsigned char *line = unpacked + it * width * (channels + 2) * 4;
         for (size_t is = 0; is < width; is++) {
             const size_t cell = (((size_t)iv * s->nu + iu) * s->nt + it) * s->ns + is;
@@ -221,7 +267,8 @@ static void read_box(parser *p, box *b)
         s->radiance = calloc(cells * (size_t)b->channels, 4);
         s->standard_error = calloc(cells, 4);
         s->half_a = calloc(cells, 4);
-        if (s->radiance == NULL || s->standard_error == NULL || s->half_a == NULL) {
+        s->codes = calloc(cells * (size_t)(b->channels + 2), 2);
+        if (s->codes == NULL || s->radiance == NULL || s->standard_error == NULL || s->half_a == NULL) {
             p->wrong = "no memory";
         }
         for (uint32_t iv = 0; iv < s->nv; iv++) {
@@ -264,6 +311,7 @@ void box_free(box *b)
         free(b->slab[i].radiance);
         free(b->slab[i].standard_error);
         free(b->slab[i].half_a);
+        free(b->slab[i].codes);
     }
     for (int i = 0; i < b->texts; i++) {
         free(b->text_name[i]);
@@ -290,7 +338,7 @@ uint64_t box_hash(const box *b)
     const uint64_t offset = 14695981039346656037u;
     uint64_t h = offset;
     fnv(&h, "LUMIBOX", 7);
-    fnv_u32(&h, 1);
+    fnv_u32(&h, (uint32_t)b->version);
     fnv_u32(&h, (uint32_t)b->slabs);
     fnv_u32(&h, (uint32_t)b->channels);
     fnv(&h, b->colour, 12);
@@ -299,6 +347,9 @@ uint64_t box_hash(const box *b)
     fnv(&h, &b->size, 8);
     fnv(&h, &b->photons, 8);
     fnv(&h, b->flux, 80);
+    if (b->version == 2) {
+        fnv(&h, b->rounding, 16);
+    }
     for (int i = 0; i < b->slabs; i++) {
         const box_slab *s = &b->slab[i];
         fnv_u32(&h, (uint32_t)s->aperture);
@@ -311,6 +362,9 @@ uint64_t box_hash(const box *b)
         fnv_u32(&h, s->nv);
         fnv_u32(&h, s->ns);
         fnv_u32(&h, s->nt);
+        if (b->version == 2) {
+            fnv(&h, &s->unit, 8);
+        }
     }
     fnv_u32(&h, (uint32_t)b->texts);
     const char *last = "";
@@ -330,6 +384,11 @@ uint64_t box_hash(const box *b)
         const size_t tile = (size_t)s->ns * s->nt, channels = (size_t)b->channels;
         for (size_t k = 0; k < (size_t)s->nu * s->nv; k++) {
             uint64_t of_tile = offset;
+            if (b->version == 2) {
+                fnv(&of_tile, s->codes + k * tile * (channels + 2), tile * (channels + 2) * 2);
+                fnv(&h, &of_tile, 8);
+                continue;
+            }
             fnv(&of_tile, s->radiance + k * tile * channels, tile * channels * 4);
             fnv(&of_tile, s->standard_error + k * tile, tile * 4);
             fnv(&of_tile, s->half_a + k * tile, tile * 4);

@@ -16,14 +16,17 @@ typedef struct box_slab {
     uint32_t nu, nv, ns, nt;
     float *radiance; /* cells in the order of the file: iv, iu, it, is slowest to fastest; channels per cell, R, G, B or Y */
     float *standard_error, *half_a;
+    double unit;      /* of rounded cells (version 2) ... */
+    uint16_t *codes;  /* ... and the half floats of its tiles, as they lie in the file */
 } box_slab;
 
 typedef struct box {
-    int slabs, channels, texts;
+    int version, slabs, channels, texts;
     float colour[3];
     double bounds_min[3], bounds_max[3], size;
     uint64_t photons, hash;
     double flux[5][2]; /* emitted, stored, residual, absorbed, lost; each with its standard error */
+    double rounding[2]; /* version 2 */
     char *text_name[64], *text[64]; /* in the order of the file */
     box_slab slab[32];
 } box;

@@ -421,8 +421,8 @@ static void test_hostile(void **in)
     expect(b, original, size, format, "neither tiled nor of several parts");
     put_u32(b + 4, 2 | 0x1000 | 0x800);
     expect(b, original, size, format, "neither tiled nor of several parts");
-    put_u32(find_attribute(b, size, "lumibox.version", "int", NULL), 2);
-    expect(b, original, size, LMG_ERROR_FILE_VERSION, "version 2");
+    put_u32(find_attribute(b, size, "lumibox.version", "int", NULL), 3);
+    expect(b, original, size, LMG_ERROR_FILE_VERSION, "version 3");
 
     /* sizes that would allocate the world */
     put_u32(find_attribute(b, size, "dataWindow", "box2i", NULL) + 8, 0x3ffffffd);
