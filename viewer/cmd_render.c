@@ -29,10 +29,11 @@ typedef struct placed {
 
 typedef struct settings {
     const char *room, *exr, *png, *camera, *exposure, *eye, *target;
+    const char *recipe; /* of the room; NULL = the one beside it if there is one */
     placed *things;
     size_t thing_count;
     const char **sets; /* --set entries, in order, ... */
-    size_t *set_thing; /* ... and the lamp each belongs to */
+    size_t *set_thing; /* ... and what each belongs to: 0 the room, 1 the first of things ... */
     size_t set_count;
     uint64_t samples; /* 0 = until the time is over */
     double seconds;   /* 0 = no limit */
@@ -65,8 +66,9 @@ static void print_help(void)
         "                             nothing, and points inside its bounds get none of its light\n"
         "  --lamp LAMP.gltf@X,Y,Z[,R] a lamp by its geometry, path traced: slow, the reference.  Lights in ROOM.gltf shine as "
         "well\n"
-        "  --recipe FILE              lamp recipe for the last --lamp (default: LAMP.recipe.json beside it, if there is one)\n"
-        "  --set ENTRY                a recipe entry for the last --lamp, such as emitter:Bulb=800lm; later ones win\n"
+        "  --recipe FILE              recipe for the last --lamp, or before all of them for the room: materials, smoke and haze\n"
+        "                             (default: NAME.recipe.json beside the model, if there is one)\n"
+        "  --set ENTRY                a recipe entry for the same, such as emitter:Bulb=800lm; later ones win\n"
         "  --flux LM                  lumens that the sources of the last --light or --lamp emit (default: as baked or modelled)\n"
         "  -o FILE.exr                R,G,B in cd/m2 and stderr.Y, the standard error of the luminance\n"
         "  --png FILE.png             tone-mapped, sRGB\n"
@@ -157,16 +159,16 @@ static int read_options(int argc, char **argv, settings *s)
             }
             break;
         case RECIPE:
-            if (!last || !last->lamp) {
-                return say_usage("render", "--recipe belongs behind the --lamp that it is for");
+            if (last && !last->lamp) {
+                return say_usage("render", "--recipe belongs behind the --lamp that it is for, or for the room before all of them");
             }
-            last->recipe = optarg;
+            *(last ? &last->recipe : &s->recipe) = optarg;
             break;
         case SET:
-            if (!last || !last->lamp) {
-                return say_usage("render", "--set belongs behind the --lamp that it is for");
+            if (last && !last->lamp) {
+                return say_usage("render", "--set belongs behind the --lamp that it is for, or for the room before all of them");
             }
-            s->set_thing[s->set_count] = s->thing_count - 1;
+            s->set_thing[s->set_count] = s->thing_count;
             s->sets[s->set_count++] = optarg;
             break;
         case FLUX:
@@ -282,21 +284,27 @@ static void print_warnings(const lum_model *model)
     }
 }
 
+/* The recipe of a model: a file, or the one beside the model, and what --set adds; thing: 0 the room, 1 the first of things. */
+static lmg_result make_recipe(const settings *s, const char *model, const char *path, size_t thing, lum_recipe **out, lmg_error *err)
+{
+    char beside[PATH_SIZE + 16];
+    if (!path && recipe_beside(model, beside)) {
+        path = beside;
+    }
+    lmg_result r = path ? lum_recipe_read(path, out, err) : lum_recipe_create(out, err);
+    for (size_t i = 0; i < s->set_count && r == LMG_OK; i++) {
+        if (s->set_thing[i] == thing) {
+            r = lum_recipe_add(*out, s->sets[i], err);
+        }
+    }
+    return r;
+}
+
 static lmg_result add_lamp(view_scene *scene, size_t index, const settings *s, lmg_error *err)
 {
     const placed *thing = &s->things[index];
-    char beside[PATH_SIZE + 16];
-    const char *recipe_path = thing->recipe;
-    if (!recipe_path && recipe_beside(thing->path, beside)) {
-        recipe_path = beside;
-    }
     lum_recipe *recipe = NULL;
-    lmg_result r = recipe_path ? lum_recipe_read(recipe_path, &recipe, err) : lum_recipe_create(&recipe, err);
-    for (size_t i = 0; i < s->set_count && r == LMG_OK; i++) {
-        if (s->set_thing[i] == index) {
-            r = lum_recipe_add(recipe, s->sets[i], err);
-        }
-    }
+    lmg_result r = make_recipe(s, thing->path, thing->recipe, index + 1, &recipe, err);
     if (r == LMG_OK) {
         r = view_scene_add_lamp(scene, thing->path, recipe, &thing->placement, thing->flux, err);
     }
@@ -309,7 +317,12 @@ static lmg_result add_lamp(view_scene *scene, size_t index, const settings *s, l
 
 static lmg_result load(const settings *s, view_scene **out, lmg_error *err)
 {
-    lmg_result r = view_scene_create(s->room, out, err);
+    lum_recipe *recipe = NULL;
+    lmg_result r = make_recipe(s, s->room, s->recipe, 0, &recipe, err);
+    if (r == LMG_OK) {
+        r = view_scene_create(s->room, recipe, out, err);
+    }
+    lum_recipe_destroy(recipe);
     if (r == LMG_OK && s->verbose) {
         print_warnings((*out)->objects[0].model);
     }
@@ -547,6 +560,14 @@ static void warn_about_scene(const settings *s, const view_scene *scene, const v
     }
     if (!scene->light_count) {
         fprintf(stderr, "warning: %s: nothing shines in this scene; add --light BOX@X,Y,Z or --lamp LAMP.gltf@X,Y,Z\n", s->room);
+    }
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        const view_object *object = &scene->objects[i];
+        if (object->unseen) {
+            fprintf(stderr, "warning: %s: light of \"%.60s\", which has no size, by way of mirrors and clear glass isn't in the picture; "
+                            "bake the lamp and use its box, or make an emitter of a surface\n",
+                    object->model->path, object->unseen);
+        }
     }
     for (uint32_t i = 0; i < scene->box_count; i++) {
         if (view_box_inside(&scene->boxes[i], camera->eye)) {

@@ -17,6 +17,14 @@
  * takes the place of the geometric one (light that would pass the true surface is dropped): with flat shading that is the same
  * thing, and under interpolated normals it gives the smooth pictures that those normals are there for.
  *
+ * Media.  A ray through a scattering medium - in a solid, or the scene's volumes outside of solids - ends at a collision drawn as
+ * the photon tracer draws it (luminaires/medium.h), and what happens there is estimated as at a surface, with the phase function in
+ * place of scattering.  Light of boxes on the way, and light chosen directly, is weighed with the exact transmittance.  Solids hide
+ * their inside from light chosen outside, and the other way round, as ever: light through their boundary is found by scattering.
+ *
+ * Wavelengths: view_bands.h.  At a boundary that refracts by wavelength one goes on alone.  At a phosphor the path goes on either
+ * with the light that is scattered there or, from the wavelengths emitted, back to wavelengths that excite.
+ *
  * Polarization travels with the path (transport is reciprocal), so that panes and lenses transmit what they should; light that is
  * met by choosing a light directly is taken as unpolarized at that one surface.
  *
@@ -39,15 +47,25 @@ typedef struct view_path_options {
     double connect;         /* probability of paths from the boxes: 0 = as the scene says, negative = none, else up to 1 */
 } view_path_options;
 
+/* Made-up bakes by which the boxes' errors are followed (meter.h). */
+enum { VIEW_BAKES = 64 };
+
 /* One thread's working memory and counters. */
 typedef struct view_worker {
-    double *weights;  /* 2 light_count numbers, from the caller */
-    uint64_t rays;    /* closest-hit rays and shadow rays traced */
-    uint64_t refused; /* estimates that weren't finite, counted as zero; 0 in a sound scene */
+    double *weights;   /* 2 light_count numbers, from the caller */
+    double *deviation; /* VIEW_BAKES numbers, from the caller: light of boxes in made-up bakes less what it is, luminance, added up;
+                          NULL: not wanted.  Of a meter: over pi */
+    uint64_t rays;     /* closest-hit rays and shadow rays traced */
+    uint64_t refused;  /* estimates that weren't finite, counted as zero; 0 in a sound scene */
 } view_worker;
 
 /* Radiance (cd/m2, R,G,B) that reaches origin (world) from direction (unit, the way the ray looks). */
 void view_path_radiance(const view_scene *scene, const view_path_options *options, lmg_vec3 origin, lmg_vec3 direction,
                         lum_rng *rng, view_worker *worker, double rgb[3]);
+
+/* Illuminance (lx, R,G,B) on the front of a small plane at point (world) that faces normal (unit): a virtual lux meter, which
+ * itself neither hides nor reflects anything.  Counts as one scattering. */
+void view_path_illuminance(const view_scene *scene, const view_path_options *options, lmg_vec3 point, lmg_vec3 normal, lum_rng *rng,
+                           view_worker *worker, double rgb[3]);
 
 #endif

@@ -16,6 +16,8 @@
 static void object_release(view_object *object)
 {
     lum_emitters_destroy(object->emitters);
+    lum_wave_tables_destroy(object->waves);
+    free(object->media);
     lum_scene_destroy(object->scene);
     lum_model_destroy(object->model);
 }
@@ -32,29 +34,37 @@ static double directional_illuminance(const lum_model *model)
     return sum;
 }
 
-/* Geometry whose light is scattered on its way or changes its wavelength isn't rendered; its baked box is. */
-static lmg_result refuse_media(const lum_model *model, lmg_error *err)
+static lmg_result prepare_media(view_object *object, lmg_error *err)
 {
-    if (model->volume_count > 0) {
-        return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
-                        "%s: has volumes (\"%.60s\"), which this renderer doesn't show; bake the lamp and use its box", model->path,
-                        model->volumes[0].name);
+    const lum_model *model = object->model;
+    object->media = calloc((size_t)model->material_count, sizeof *object->media);
+    if (!object->media) {
+        return lmg_fail(err, LMG_ERROR_MEMORY, "%s: out of memory", model->path);
     }
     for (uint32_t i = 0; i < model->material_count; i++) {
         const lum_material *m = &model->materials[i];
-        if (m->scattering[0] > 0 || m->scattering[1] > 0 || m->scattering[2] > 0) {
-            return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
-                            "%s: material \"%.60s\" is filled with a scattering medium, which this renderer doesn't show; bake the lamp "
-                            "and use its box",
-                            model->path, m->name);
-        }
-        if (m->spectral.converted) {
-            return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
-                            "%s: material \"%.60s\" is a phosphor, whose light this renderer doesn't show; bake the lamp and use its box",
-                            model->path, m->name);
-        }
+        object->media[i] = (view_medium){.material = m, .index = (int32_t)i};
+        lum_medium_set(&object->media[i].inside, m->scattering, m->absorption, m->anisotropy);
+        object->media[i].scatters = object->media[i].inside.scatters;
     }
     return LMG_OK;
+}
+
+/* Whether a surface sends light in one direction only: what a punctual light sends that way meets no path from the eye. */
+static bool is_specular(const lum_material *m)
+{
+    bool smooth = m->roughness * m->roughness < LUM_SMOOTH;
+    return smooth && (m->kind == LUM_SURFACE_CONDUCTOR || (m->kind == LUM_SURFACE_PBR && (m->transmission > 0 || m->metallic > 0)));
+}
+
+static const char *unseen_light(const lum_model *model)
+{
+    for (uint32_t i = 0; i < model->material_count && model->light_count; i++) {
+        if (is_specular(&model->materials[i])) {
+            return model->lights[0].name;
+        }
+    }
+    return NULL;
 }
 
 /* Fills an object from a file; on failure nothing is left over. */
@@ -66,7 +76,7 @@ static lmg_result object_load(const char *path, const lum_recipe *recipe, view_o
         return r;
     }
     const lum_model *model = out->model;
-    r = refuse_media(model, err);
+    r = prepare_media(out, err);
     if (r == LMG_OK && model->triangle_count) {
         r = lum_scene_create(model, &out->scene, err);
     }
@@ -77,6 +87,7 @@ static lmg_result object_load(const char *path, const lum_recipe *recipe, view_o
         object_release(out);
         return r;
     }
+    out->unseen = unseen_light(model);
     double rgb[3];
     out->flux = lum_emitters_flux(out->emitters, rgb);
     if (!(out->flux > 0)) {
@@ -92,7 +103,7 @@ static lmg_result object_load(const char *path, const lum_recipe *recipe, view_o
     return LMG_OK;
 }
 
-lmg_result view_scene_create(const char *room_path, view_scene **out, lmg_error *err)
+lmg_result view_scene_create(const char *room_path, const lum_recipe *recipe, view_scene **out, lmg_error *err)
 {
     *out = NULL;
     view_scene *scene = calloc(1, sizeof *scene);
@@ -102,7 +113,7 @@ lmg_result view_scene_create(const char *room_path, view_scene **out, lmg_error 
         free(objects);
         return lmg_fail(err, LMG_ERROR_MEMORY, "%s: out of memory", room_path);
     }
-    lmg_result r = object_load(room_path, NULL, &objects[0], err);
+    lmg_result r = object_load(room_path, recipe, &objects[0], err);
     if (r != LMG_OK) {
         free(scene);
         free(objects);
@@ -124,6 +135,7 @@ void view_scene_destroy(view_scene *scene)
     for (uint32_t i = 0; i < scene->object_count; i++) {
         object_release(&scene->objects[i]);
     }
+    lum_volumes_destroy(scene->volumes);
     for (uint32_t i = 0; i < scene->box_count; i++) {
         lmg_field_destroy(scene->boxes[i].field);
     }
@@ -261,8 +273,92 @@ static void measure_concentration(view_scene *scene)
     scene->connect = share < 0.1 ? 0 : fmin(share, 1);
 }
 
+/* A volume of an object in the world's frame. */
+static lum_volume volume_in_world(const lum_volume *volume, const view_motion *motion)
+{
+    lum_volume out = *volume;
+    for (int i = 0; i < 3 && !motion->identity; i++) {
+        const double *m = volume->to_index[i], t[3] = {motion->t.x, motion->t.y, motion->t.z};
+        out.to_index[i][3] = m[3];
+        for (int k = 0; k < 3; k++) {
+            /* m times the inverse of the motion's rotation, which is its transpose */
+            out.to_index[i][k] = m[0] * motion->r[k][0] + m[1] * motion->r[k][1] + m[2] * motion->r[k][2];
+            out.to_index[i][3] -= out.to_index[i][k] * t[k];
+        }
+    }
+    return out;
+}
+
+static lmg_result join_volumes(view_scene *scene, lmg_error *err)
+{
+    lum_volumes_destroy(scene->volumes);
+    scene->volumes = NULL;
+    lum_model all = {.path = "the scene"};
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        all.volume_count += scene->objects[i].model->volume_count;
+    }
+    all.volumes = calloc((size_t)all.volume_count + 1, sizeof *all.volumes);
+    if (!all.volumes) {
+        return lmg_fail(err, LMG_ERROR_MEMORY, "out of memory for the scene's volumes");
+    }
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        const view_object *object = &scene->objects[i];
+        for (uint32_t k = 0; k < object->model->volume_count; k++) {
+            all.volumes[count++] = volume_in_world(&object->model->volumes[k], &object->motion);
+        }
+    }
+    lmg_result r = lum_volumes_create(&all, &scene->volumes, err);
+    free(all.volumes);
+    return r;
+}
+
+static bool has_phosphor(const lum_model *model)
+{
+    for (uint32_t i = 0; i < model->material_count; i++) {
+        if (model->materials[i].spectral.converted) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* Light by wavelength, where an object calls for it.  Paths draw from the tables of one that does: of a phosphor's if there is one,
+ * whose wavelengths excite it. */
+static lmg_result prepare_waves(view_scene *scene, lmg_error *err)
+{
+    const view_object *first = NULL;
+    scene->waves = NULL;
+    for (uint32_t i = 0; i < scene->object_count; i++) {
+        const view_object *object = &scene->objects[i];
+        if (lum_model_is_spectral(object->model) && (!first || (has_phosphor(object->model) && !has_phosphor(first->model)))) {
+            first = object;
+        }
+    }
+    for (uint32_t i = 0; i < scene->object_count && first; i++) {
+        view_object *object = &scene->objects[i];
+        lum_wave_tables_destroy(object->waves);
+        lmg_result r = lum_wave_tables_create(object->model, &object->waves, err);
+        if (r != LMG_OK) {
+            return r;
+        }
+        for (uint32_t k = 0; k < object->model->material_count; k++) {
+            object->media[k].tables = object->waves;
+        }
+    }
+    scene->waves = first ? first->waves : NULL;
+    return LMG_OK;
+}
+
 lmg_result view_scene_finish(view_scene *scene, lmg_error *err)
 {
+    lmg_result r = join_volumes(scene, err);
+    if (r == LMG_OK) {
+        r = prepare_waves(scene, err);
+    }
+    if (r != LMG_OK) {
+        return r;
+    }
     free(scene->lights);
     scene->light_count = 0;
     scene->lights = calloc((size_t)scene->box_count + scene->object_count, sizeof *scene->lights);
@@ -429,6 +525,30 @@ static bool inside_bounds(const lmg_layout *layout, lmg_vec3 own)
 bool view_box_inside(const view_box *box, lmg_vec3 p)
 {
     return inside_bounds(lmg_field_layout(box->field), view_point_in(&box->motion, p));
+}
+
+uint64_t view_box_cell(const view_box *box, uint32_t index, lmg_vec3 point, lmg_vec3 direction, double *error)
+{
+    const lmg_layout *layout = lmg_field_layout(box->field);
+    float rgb[3], se;
+    lmg_field_radiance(box->field, point, direction, LMG_NEAREST, rgb, &se);
+    *error = (double)se * box->scale;
+    for (uint32_t j = 0; j < layout->slab_count; j++) {
+        const lmg_slab *slab = &layout->slabs[j];
+        const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, high[4] = {slab->u1, slab->v1, slab->s1, slab->t1};
+        const uint32_t n[4] = {slab->nu, slab->nv, slab->ns, slab->nt};
+        double at[4];
+        if (!lmg_slab_coordinates(slab, point, direction, at)) {
+            continue;
+        }
+        uint64_t cell = (uint64_t)index << 32 | j;
+        for (int k = 0; k < 4; k++) {
+            double i = floor((at[k] - low[k]) / (high[k] - low[k]) * n[k]);
+            cell = lum_mix64(cell) + (uint64_t)fmin(fmax(i, 0), n[k] - 1.0);
+        }
+        return lum_mix64(cell);
+    }
+    return 0;
 }
 
 bool view_box_enter(const view_scene *scene, uint32_t b, lmg_vec3 origin, lmg_vec3 direction, double *t)

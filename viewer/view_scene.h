@@ -17,12 +17,25 @@
 #include "view_math.h"
 
 #include <luminaires/scatter.h>
+#include <luminaires/waves.h>
+
+/* A medium inside a solid, as paths need it. */
+typedef struct view_medium {
+    const lum_material *material;
+    int32_t index; /* of the material in its model */
+    bool scatters;
+    lum_medium inside;
+    const lum_wave_tables *tables; /* of its model; NULL in scenes in R,G,B */
+} view_medium;
 
 /* Geometry in the scene: the room (always the first) or a lamp. */
 typedef struct view_object {
     lum_model *model;
     lum_scene *scene;       /* NULL when the model has no triangles */
     lum_emitters *emitters; /* NULL when it has none that shine */
+    view_medium *media;     /* per material */
+    lum_wave_tables *waves; /* NULL in scenes in R,G,B */
+    const char *unseen;     /* a punctual light whose light by way of mirrors and clear glass no path from the eye finds; NULL: none */
     view_motion motion;     /* from the model's coordinates (minus its centre) to the world */
     double flux;            /* lumens of its emitters, scale included */
     double scale;           /* its emitters' light is multiplied by this */
@@ -57,6 +70,8 @@ typedef struct view_scene {
     view_object *objects;
     view_box *boxes;
     view_light *lights;
+    lum_volumes *volumes;         /* of all objects, in the world, outside of solids; NULL = none */
+    const lum_wave_tables *waves; /* from which paths draw wavelengths; NULL: everything is in R,G,B */
     lmg_vec3 origin;   /* the room model's centre: file frame = world + origin */
     double boxes_flux; /* lumens of all boxes */
     double connect;    /* probability with which paths from the boxes are worth while */
@@ -69,8 +84,8 @@ typedef struct view_hit {
     uint32_t object;
 } view_hit;
 
-/* Loads the room.  Errors are those of lum_model_load and lum_scene_create. */
-lmg_result view_scene_create(const char *room_path, view_scene **out, lmg_error *err);
+/* Loads the room; recipe may be NULL (borrowed for the call).  Errors are those of lum_model_load and lum_scene_create. */
+lmg_result view_scene_create(const char *room_path, const lum_recipe *recipe, view_scene **out, lmg_error *err);
 void view_scene_destroy(view_scene *scene);
 
 /* Adds a placed box; flux: lumens that the baked lamp's sources are to emit (before losses in the luminaire), 0 = as baked. */
@@ -85,7 +100,8 @@ lmg_result view_scene_add_lamp(view_scene *scene, const char *path, const lum_re
                                double flux, lmg_error *err);
 
 /*
- * Makes the list of lights and measures what paths from the boxes would gain; to be called once everything is in.
+ * Makes the list of lights, joins the objects' volumes (LMG_ERROR_UNSUPPORTED: too many), makes tables of wavelengths where an object
+ * calls for them, and measures what paths from the boxes would gain; to be called once everything is in.
  *
  * The measure: the mean illuminance that the boxes' own light meets with where it falls, over the mean illuminance of the room; 1
  * for a room lit evenly, thousands for a spot.  That many paths fewer than by luck find the lit patch.  Connections are made in
@@ -110,6 +126,10 @@ static inline lmg_vec3 view_leave(const view_hit *hit, lmg_vec3 d)
 
 /* Whether p (world) is inside the bounds of a box, where its light isn't defined. */
 bool view_box_inside(const view_box *box, lmg_vec3 p);
+
+/* The cell of the box in which light travels through point in direction (both in the luminaire's frame, direction of travel): 64
+ * coins that belong to the cell; index tells boxes apart.  *error: the standard error of its luminance, scale included. */
+uint64_t view_box_cell(const view_box *box, uint32_t index, lmg_vec3 point, lmg_vec3 direction, double *error);
 
 /* Where the ray meets box b's bounds from outside; false if it misses or starts inside. */
 bool view_box_enter(const view_scene *scene, uint32_t b, lmg_vec3 origin, lmg_vec3 direction, double *t);

@@ -294,6 +294,7 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
         }
         out->pdf = 1;
         out->delta = true;
+        out->material = LUM_NONE;
         return factor > 0;
     }
 
@@ -314,6 +315,7 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
     double area = (double)t->area / ((double)t->n * t->n);
     out->pdf = emitters->patches[i].power / emitters->flux_all * d2 / (area * fabs(cosine));
     out->delta = false;
+    out->material = emitters->model->triangle_material[t->triangle];
     if (t->textured) {
         lum_emission_at(emitters->model, t->triangle, b1, b2, out->radiance);
     } else {

@@ -287,6 +287,43 @@ double lum_waves_emit(const lum_wave_tables *spectral, int32_t material, const f
     return normalize(spectral, luminance, out);
 }
 
+static void over_white(const lum_wave_tables *tables, const lum_wave_light *light, double luminance, const lum_waves *waves,
+                       double out[LUM_WAVES])
+{
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        const double nm = (double)waves->nm[i];
+        out[i] = luminance * lum_spectrum_at(&light->luminance, nm) / lum_spectrum_at(&tables->white.luminance, nm);
+    }
+}
+
+void lum_waves_lit(const lum_wave_tables *tables, int32_t material, const float rgb[3], const lum_waves *waves,
+                   double light[LUM_WAVES])
+{
+    if (material >= 0 && tables->materials[material].emission) {
+        over_white(tables, tables->materials[material].emission, lmg_luminance(rgb), waves, light);
+        return;
+    }
+    for (uint32_t i = 0; i < waves->count; ++i) {
+        light[i] = 0;
+        for (int c = 0; c < 3; ++c)
+            light[i] += (double)rgb[c] / tables->white_rgb[c] * lum_spectrum_at(&tables->basis[c], (double)waves->nm[i]);
+    }
+}
+
+void lum_waves_converted(const lum_wave_tables *tables, const lum_phosphor *phosphor, const lum_waves *waves,
+                         double light[LUM_WAVES])
+{
+    over_white(tables, &phosphor->light, 1, waves, light);
+}
+
+void lum_wave_rgb(const lum_wave_tables *tables, double nm, double rgb[3])
+{
+    /* Colour over y: the quotient itself is too curved to be taken as linear within a nanometre. */
+    const double y = lum_spectrum_at(&tables->observer, nm);
+    for (int c = 0; c < 3; ++c)
+        rgb[c] = lum_spectrum_at(&tables->colour[c], nm) / y;
+}
+
 void lum_waves_rgb(const lum_wave_tables *spectral, const lum_waves *waves, double rgb[3])
 {
     rgb[0] = rgb[1] = rgb[2] = 0;

@@ -276,7 +276,7 @@ static void lamp_open(lamp *l, const char *name)
     demand(lum_model_load(path, recipe, &l->model, &err), &err);
     demand(bake_tracer_create(l->model, SEED + 1, &l->source, &err), &err);
     const view_placement place = {.position = {0, 1000, 0}};
-    demand(view_scene_create(LUMIBOX_BINARY_DIR "/models/room/room.gltf", &l->scene, &err), &err);
+    demand(view_scene_create(LUMIBOX_BINARY_DIR "/models/room/room.gltf", NULL, &l->scene, &err), &err);
     if (view_scene_add_lamp(l->scene, path, recipe, &place, 0, &err) == LMG_OK) {
         demand(view_scene_finish(l->scene, &err), &err);
         l->shift = v_sub((lmg_vec3){0, 1000, 0}, l->scene->origin);

@@ -117,8 +117,8 @@ int main(int argc, char **argv)
 
     const view_placement place = {.position = {0, 2.2, 0}};
     view_scene *boxed = NULL, *built = NULL;
-    demand(view_scene_create(LUMIBOX_BINARY_DIR "/models/room/room.gltf", &boxed, &err), &err);
-    demand(view_scene_create(LUMIBOX_BINARY_DIR "/models/room/room.gltf", &built, &err), &err);
+    demand(view_scene_create(LUMIBOX_BINARY_DIR "/models/room/room.gltf", NULL, &boxed, &err), &err);
+    demand(view_scene_create(LUMIBOX_BINARY_DIR "/models/room/room.gltf", NULL, &built, &err), &err);
     demand(view_scene_adopt_box(boxed, field, &place, 0, &err), &err);
     demand(view_scene_add_lamp(built, path, recipe, &place, 0, &err), &err);
     demand(view_scene_finish(boxed, &err), &err);

@@ -239,13 +239,32 @@ view_camera camera_at(const view_scene *scene, double ex, double ey, double ez, 
 
 view_scene *scene_of(const room_rectangle *rectangles, size_t count)
 {
-    char folder[] = "/tmp/lumibox-room-XXXXXX", path[64];
+    return scene_with_recipe(rectangles, count, NULL);
+}
+
+view_scene *scene_with_recipe(const room_rectangle *rectangles, size_t count, const char *recipe)
+{
+    char folder[] = "/tmp/lumibox-room-XXXXXX", path[64], recipe_path[64];
     assert_non_null(mkdtemp(folder));
     snprintf(path, sizeof path, "%s/room.gltf", folder);
+    snprintf(recipe_path, sizeof recipe_path, "%s/room.recipe.json", folder);
     room_write(path, rectangles, count);
     view_scene *scene = NULL;
+    lum_recipe *read = NULL;
     lmg_error err = {""};
-    lmg_result r = view_scene_create(path, &scene, &err);
+    lmg_result r = LMG_OK;
+    if (recipe) {
+        FILE *file = fopen(recipe_path, "w");
+        assert_non_null(file);
+        fputs(recipe, file);
+        assert_int_equal(fclose(file), 0);
+        r = lum_recipe_read(recipe_path, &read, &err);
+        unlink(recipe_path);
+    }
+    if (r == LMG_OK) {
+        r = view_scene_create(path, read, &scene, &err);
+    }
+    lum_recipe_destroy(read);
     unlink(path);
     rmdir(folder);
     if (r != LMG_OK) {

@@ -47,4 +47,7 @@ view_camera camera_at(const view_scene *scene, double ex, double ey, double ez, 
 /* A scene from rectangles, by way of a temporary glTF file; not finished yet. */
 view_scene *scene_of(const room_rectangle *rectangles, size_t count);
 
+/* The same with a recipe for the room (JSON; NULL: none). */
+view_scene *scene_with_recipe(const room_rectangle *rectangles, size_t count, const char *recipe);
+
 #endif

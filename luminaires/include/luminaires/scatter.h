@@ -155,6 +155,7 @@ typedef struct lum_light_sample {
     lmg_vec3 direction;
     double distance, pdf;
     float radiance[3];
+    int32_t material; /* of the emitting surface, LUM_NONE for lights */
     bool delta;
 } lum_light_sample;
 bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const double xi[3], lum_light_sample *out);

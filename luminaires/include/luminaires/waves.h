@@ -90,6 +90,19 @@ double lum_waves_emit(const lum_wave_tables *spectral, int32_t material, const f
 /* The same from a light's spectrum. */
 double lum_waves_draw(const lum_wave_tables *spectral, const lum_wave_light *light, double u, lum_waves *out);
 
+/*
+ * For paths followed from the eye, which carry waves as if they came from D65 (lum_waves_draw of `white`): what light of an emitter
+ * has at these waves, over D65 of luminance 1.  Light of material's spectrum if it has one (LUM_NONE: none), with the luminance of
+ * R,G,B, else of R,G,B.  lum_waves_converted: the same for what a phosphor emits, of luminance 1.
+ */
+void lum_waves_lit(const lum_wave_tables *tables, int32_t material, const float rgb[3], const lum_waves *waves,
+                   double light[LUM_WAVES]);
+void lum_waves_converted(const lum_wave_tables *tables, const lum_phosphor *phosphor, const lum_waves *waves,
+                         double light[LUM_WAVES]);
+
+/* R,G,B of one wavelength at luminance 1. */
+void lum_wave_rgb(const lum_wave_tables *tables, double nm, double rgb[3]);
+
 /* Luminance that a phosphor emits per luminance that it absorbs at a wavelength. */
 static inline double lum_phosphor_gain(const lum_wave_tables *spectral, const lum_phosphor *phosphor, double nm)
 {
