@@ -75,10 +75,15 @@ size_t lmg_field_memory(const lmg_field *field)
 
 double lmg_field_slab_flux(const lmg_field *field, uint32_t slab, double *standard_error)
 {
-    bool valid = slab < field->layout.slab_count;
-    if (standard_error)
-        *standard_error = valid ? field->slabs[slab].flux_se : 0;
-    return valid ? field->slabs[slab].flux : 0;
+    const bool valid = slab < field->layout.slab_count;
+    const double flux = valid ? field->slabs[slab].flux : 0;
+    if (standard_error) {
+        /* flux_se is that of Poisson counts.  A share of a known number of photons varies less; what was emitted may vary too. */
+        const lmg_ledger *l = &field->ledger;
+        const double se = valid ? field->slabs[slab].flux_se : 0, relative = l->emitted > 0 ? l->emitted_se / l->emitted : 0;
+        *standard_error = l->photons ? sqrt(fmax(0, se * se + flux * flux * (relative * relative - 1 / (double)l->photons))) : se;
+    }
+    return flux;
 }
 
 /* Position of the first text whose name isn't before `name`. */

@@ -234,7 +234,7 @@ LMG_API const lmg_layout *lmg_field_layout(const lmg_field *field);
 LMG_API lmg_ledger lmg_field_ledger(const lmg_field *field);
 LMG_API size_t lmg_field_memory(const lmg_field *field); /* bytes held */
 
-/* Flux stored in one slab: lumens, with its standard error. */
+/* Flux stored in one slab: lumens, with its standard error, that of a share of the ledger's photons. */
 LMG_API double lmg_field_slab_flux(const lmg_field *field, uint32_t slab, double *standard_error);
 
 /* Provenance and remarks: UTF-8 text by name ("model", "seed", "effects", ...), kept in the file.  set copies; value NULL removes.
