@@ -197,7 +197,13 @@ static lmg_result read_all(reader *r, lmg_error *err)
                   .scratch_size = sizeof(decoder),
                   .count = (r->tiles.end + r->tiles.run - 1) / r->tiles.run};
     LMG_TRY(lmg_work_do(&w, err));
-    if (lmg_hash_field(&r->tiles) != hash) {
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* or a fuzzer would hardly get past this line */
+    const bool altered = false;
+    (void)hash;
+#else
+    const bool altered = lmg_hash_field(&r->tiles) != hash;
+#endif
+    if (altered) {
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT,
                         "%s: altered after it was written: its content hash disagrees; copy or bake it again", r->file.where);
     }

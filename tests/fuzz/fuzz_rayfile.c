@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Fuzz target of the ray file readers: any bytes are opened as any format and decoded; whatever comes out is either one line of error
- * or rays that can be light.  Built into test_rayfile, which replays its corpus, and with clang -fsanitize=fuzzer as it stands.
+ * Fuzz target of the ray file readers: any bytes are opened as any format and decoded; whatever comes out is either one line of
+ * error or rays that can be light.  Built into test_rayfile, which replays its corpus, and with clang -fsanitize=fuzzer as it
+ * stands.
  */
-#include "fuzz_rayfile.h"
+#include "fuzz.h"
 
 #include <luminaires/rayfile.h>
 
@@ -12,12 +13,6 @@
 #include <string.h>
 
 enum { MOST_RAYS = 20000 };
-
-static void check_message(const lmg_error *err)
-{
-    if (!err->message[0] || strchr(err->message, '\n') || !memchr(err->message, 0, sizeof(err->message)))
-        abort();
-}
 
 static void check_rays(const lmg_ray *rays, size_t count)
 {
@@ -39,7 +34,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         if (lum_rayfile_open_memory(bytes, size, "fuzz", (lum_ray_flux)flux, &file, &err) != LMG_OK) {
             if (file)
                 abort();
-            check_message(&err);
+            fuzz_check_message(&err);
             continue;
         }
         lum_ray_reader *reader;
@@ -49,7 +44,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
         for (uint64_t at = 0; at < end;) {
             const size_t n = end - at < LUM_RAY_BLOCK ? (size_t)(end - at) : LUM_RAY_BLOCK;
             if (lum_ray_reader_read(reader, at, n, 1, rays, &err) != LMG_OK) {
-                check_message(&err);
+                fuzz_check_message(&err);
                 break;
             }
             check_rays(rays, n);

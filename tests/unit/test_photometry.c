@@ -15,7 +15,7 @@
 
 #include <cmocka.h>
 
-#include "fuzz_photometry.h"
+#include "fuzz.h"
 #include "photometry_corpus.h"
 
 static const double PI = 3.14159265358979323846;

@@ -10,7 +10,7 @@
 
 #include <cmocka.h>
 
-#include "fuzz_rayfile.h"
+#include "fuzz.h"
 #include "rayfile_maker.h"
 
 #include <luminaires/rayfile.h>
