@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Hard cases of counting and brightness: 10^11 photons in one cell, weights over twelve decades, one photon, black lamps, a filament of
- * 0.1 mm in a reflector of 0.5 m, luminances beyond the range of half floats.
+ * Hard cases of counting and brightness: 10^11 photons in one cell, weights over twelve decades, one photon, black lamps, a
+ * filament of 0.1 mm in a reflector of 0.5 m, luminances beyond the range of half floats.
  */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -29,9 +29,23 @@ static lmg_layout one_cell(uint32_t n)
     lmg_layout y = {.slab_count = 1, .channels = 1, .colour = {1, 1, 1}, .size = 0.1};
     y.bounds_min = v3(-0.05, 0, -0.05);
     y.bounds_max = v3(0.05, 0.1, 0.05);
-    y.slabs[0] = (lmg_slab){.kind = LMG_SLAB_CUBE, .a = v3(1, 0, 0), .b = v3(0, 0, 1), .n = v3(0, -1, 0), .distance = (double)INFINITY,
-                            .u0 = -0.05, .u1 = 0.05, .v0 = -0.05, .v1 = 0.05, .s0 = -1, .s1 = 1, .t0 = -1, .t1 = 1,
-                            .nu = n, .nv = 1, .ns = 1, .nt = 1};
+    y.slabs[0] = (lmg_slab){.kind = LMG_SLAB_CUBE,
+                            .a = v3(1, 0, 0),
+                            .b = v3(0, 0, 1),
+                            .n = v3(0, -1, 0),
+                            .distance = (double)INFINITY,
+                            .u0 = -0.05,
+                            .u1 = 0.05,
+                            .v0 = -0.05,
+                            .v1 = 0.05,
+                            .s0 = -1,
+                            .s1 = 1,
+                            .t0 = -1,
+                            .t1 = 1,
+                            .nu = n,
+                            .nv = 1,
+                            .ns = 1,
+                            .nt = 1};
     return y;
 }
 
@@ -73,7 +87,8 @@ static void test_many_photons(void **state)
     lmg_field *f;
     assert_int_equal(lmg_field_reconstruct(acc, 1 / (expected + 1), NULL, &f, NULL), LMG_OK);
     double error;
-    hard_at_most("1.4e11 photons in one cell, and one more", "the field's flux, relative", fabs(lmg_field_slab_flux(f, 0, &error) - 1), 2 * FLT_EPSILON);
+    hard_at_most("1.4e11 photons in one cell, and one more", "the field's flux, relative",
+                 fabs(lmg_field_slab_flux(f, 0, &error) - 1), 2 * FLT_EPSILON);
     hard_at_most("1.4e11 photons in one cell, and one more", "its standard error is 1/sqrt(n), relative",
                  fabs(error * sqrt(expected + 1) - 1), 2 * FLT_EPSILON);
     lmg_field_destroy(f);
@@ -143,15 +158,16 @@ static void test_few_photons(void **state)
     m = disc_lamp(0, 0.05, 0.5f);
     bake_options o = {.photons = 1000, .seed = 2};
     lmg_result result = bake_run(m, &o, &f, &r, &err);
-    hard_holds("black lamp: nothing emits", "a message, no box", result == LMG_ERROR_INPUT && strstr(err.message, "emits light"), "%s", err.message);
+    hard_holds("black lamp: nothing emits", "a message, no box", result == LMG_ERROR_INPUT && strstr(err.message, "emits light"),
+               "%s", err.message);
     free_model(m);
 
     m = disc_lamp(1000, 0.05, 0);
     make_box(m, v3(-0.1, -0.1, -0.1), v3(0.1, 0.1, 0.1), true, 1, make_lambert(m, 0));
     finish_model(m);
     result = bake_run(m, &o, &f, &r, &err);
-    hard_holds("black shell: nothing leaves", "a message that says where the light went", result == LMG_ERROR_INPUT && strstr(err.message, "absorbed"), "%s",
-               err.message);
+    hard_holds("black shell: nothing leaves", "a message that says where the light went",
+               result == LMG_ERROR_INPUT && strstr(err.message, "absorbed"), "%s", err.message);
     free_model(m);
     /* --photons 0 is a matter of the command line: test_restart */
 }
@@ -185,7 +201,8 @@ static void test_filament(void **state)
     /* Lambertian sphere: flux pi L A, to the area of its 1,000 triangles */
     hard_at_most("0.1 mm filament in a 0.5 m reflector", "flux, relative to pi L A of the sphere (its facets have 1.6 % less)",
                  fabs(l.emitted / (3.14159265358979 * 1e9 * 4 * 3.14159265358979 * r * r) - 1), 0.02);
-    hard_at_most("0.1 mm filament in a 0.5 m reflector", "balance, relative", fabs((l.stored + l.residual + l.absorbed + l.lost) / l.emitted - 1), 1e-6);
+    hard_at_most("0.1 mm filament in a 0.5 m reflector", "balance, relative",
+                 fabs((l.stored + l.residual + l.absorbed + l.lost) / l.emitted - 1), 1e-6);
     hard_at_most("0.1 mm filament in a 0.5 m reflector", "lost, relative", l.lost / l.emitted, 1e-6);
     const char *path = hard_path("filament.box.exr");
     lmg_error err = {{0}};
@@ -203,9 +220,11 @@ static void test_filament(void **state)
         }
         flux += lmg_field_slab_flux(back, j, NULL);
     }
-    hard_holds("0.1 mm filament in a 0.5 m reflector", "beyond half floats (65,504 cd/m2), nothing infinite after writing and reading",
-               finite && peak > 65504, "brightest cell %.3g cd/m2", peak);
-    hard_at_most("0.1 mm filament in a 0.5 m reflector", "flux after writing and reading, relative", fabs(flux / l.stored - 1), 1e-5);
+    hard_holds("0.1 mm filament in a 0.5 m reflector",
+               "beyond half floats (65,504 cd/m2), nothing infinite after writing and reading", finite && peak > 65504,
+               "brightest cell %.3g cd/m2", peak);
+    hard_at_most("0.1 mm filament in a 0.5 m reflector", "flux after writing and reading, relative", fabs(flux / l.stored - 1),
+                 1e-5);
     /* no cell can be brighter than the filament: a cell averages over what it sees of it */
     hard_at_most("0.1 mm filament in a 0.5 m reflector", "brightest cell over the filament's luminance", peak / 1e9, 1);
     lmg_field_destroy(back);
@@ -223,14 +242,51 @@ static void test_filament(void **state)
     free_model(m);
 }
 
+/* Neighbouring cells far apart in luminance, the sun's among them, through a file and back: nothing overflows, nothing vanishes. */
+static void test_sun_in_a_file(void **state)
+{
+    (void)state;
+    static const double PAIRS[][2] = {{1.6e9, 16}, {65520, 65504}, {1e20, 1e12}, {1e-6, 1e-14}};
+    enum { BRIGHT = 1 << 16 };
+    const lmg_layout y = one_cell(2);
+    for (size_t k = 0; k < sizeof(PAIRS) / sizeof(PAIRS[0]); ++k) {
+        lmg_accumulator *acc = accumulator(&y);
+        const double dim = PAIRS[k][1];
+        const uint64_t bright = PAIRS[k][0] > 1000 * dim ? BRIGHT : 16; /* photons in the first cell */
+        static lmg_ray rays[16 + BRIGHT];
+        for (uint64_t i = 0; i < 16 + bright; ++i)
+            rays[i] = i < 16 ? down(0.025, 1, i) : down(-0.025, (float)(16 * PAIRS[k][0] / dim / (double)bright), i);
+        lmg_accumulator_deposit(acc, rays, 16 + bright);
+        assert_int_equal(lmg_accumulator_totals(acc).refused, 0);
+        lmg_field *f, *back;
+        lmg_error err = {{0}};
+        const char *path = hard_path("sun.box.exr");
+        if (lmg_field_reconstruct(acc, dim * lmg_slab_cell_etendue(&y.slabs[0], 0, 0, 0, 0) / 16, NULL, &f, &err) != LMG_OK ||
+            lmg_field_write(f, path, &err) != LMG_OK || lmg_field_read(path, &back, &err) != LMG_OK)
+            fail_msg("%s", err.message);
+        double worst = 0;
+        for (int c = 0; c < 2; ++c) {
+            /* equal photons: an error of one over the root of their number */
+            worst = fmax(worst, fabs((double)back->slabs[0].radiance[c] / PAIRS[k][c] - 1));
+            worst =
+                fmax(worst, fabs(sqrt(c == 0 ? (double)bright : 16) * (double)back->slabs[0].standard_error[c] / PAIRS[k][c] - 1));
+        }
+        /* fluxes of at least 1 are rounded to 2^-20, cells to float */
+        hard_at_most(hard_text("%g cd/m2 beside %g cd/m2", PAIRS[k][0], PAIRS[k][1]),
+                     "both and their standard errors after writing and reading, relative", worst,
+                     0x1p-20 + 4 * (double)FLT_EPSILON);
+        lmg_field_destroy(f);
+        lmg_field_destroy(back);
+        lmg_accumulator_destroy(acc);
+    }
+}
+
 int main(void)
 {
     hard_begin("counting");
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_many_photons),
-        cmocka_unit_test(test_weights),
-        cmocka_unit_test(test_few_photons),
-        cmocka_unit_test(test_filament),
+        cmocka_unit_test(test_many_photons), cmocka_unit_test(test_weights),       cmocka_unit_test(test_few_photons),
+        cmocka_unit_test(test_filament),     cmocka_unit_test(test_sun_in_a_file),
     };
     return cmocka_run_group_tests_name("hard_counting", tests, NULL, NULL);
 }

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Random lamps from a printed seed: unions of shells of random materials, turned and moved at random.  Whatever they are, the balance of
- * photons closes exactly, threads and splits change nothing, nothing is lost but inside solids that touch others, and the box holds the
- * flux.  HARD_VARIANTS: how many (12); HARD_SEED: from which seed on (1).
+ * Random lamps from a printed seed: unions of shells of random materials, turned and moved at random.  Whatever they are, the
+ * balance of photons closes exactly, threads and splits change nothing, nothing is lost but inside solids that touch others, and
+ * the box holds the flux.  Arguments: "long" for 1,000 of them instead of 12; or how many, and from which seed on (1).
  */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -30,7 +30,8 @@ static double pick(lum_rng *rng, double low, double high)
 /* A material of any kind; some absorb nothing, some all. */
 static uint32_t any_material(lum_model *m, lum_rng *rng)
 {
-    const double u = lum_rng_next(rng), albedo = u < 0.1 ? 1 : pick(rng, 0, 0.95), roughness = lum_rng_next(rng) < 0.4 ? 0 : pick(rng, 0, 1);
+    const double u = lum_rng_next(rng), albedo = u < 0.1 ? 1 : pick(rng, 0, 0.95),
+                 roughness = lum_rng_next(rng) < 0.4 ? 0 : pick(rng, 0, 1);
     uint32_t i;
     switch ((int)(6 * lum_rng_next(rng))) {
     case 0:
@@ -106,7 +107,8 @@ static lum_model *variant(uint64_t seed)
             make_sphere(m, v3(0, 0, 0), r, 4 + (uint32_t)(20 * lum_rng_next(&rng)), false, lum_rng_next(&rng) < 0.5, material);
             break;
         case 1:
-            make_box(m, v3(-r, -0.7 * r, -0.4 * r), v3(r, 0.7 * r, 0.4 * r), false, 1 + (uint32_t)(3 * lum_rng_next(&rng)), material);
+            make_box(m, v3(-r, -0.7 * r, -0.4 * r), v3(r, 0.7 * r, 0.4 * r), false, 1 + (uint32_t)(3 * lum_rng_next(&rng)),
+                     material);
             break;
         default:
             make_quad(m, v3(-r, 0, -r), v3(2 * r, 0, 0), v3(0, 0, 2 * r), 1 + (uint32_t)(4 * lum_rng_next(&rng)), material);
@@ -136,11 +138,11 @@ static void hash_rays(void *self, const lmg_ray *rays, size_t count)
     }
 }
 
+static uint64_t count = 12, seed = 1;
+
 static void test_variants(void **state)
 {
     (void)state;
-    const char *wanted = getenv("HARD_VARIANTS"), *from = getenv("HARD_SEED");
-    const uint64_t count = wanted ? strtoull(wanted, NULL, 10) : 12, seed = from ? strtoull(from, NULL, 10) : 1;
     print_message("variants %llu to %llu\n", (unsigned long long)seed, (unsigned long long)(seed + count - 1));
     enum { PHOTONS = 10000 };
     double worst_lost = 0, worst_inside = 0, worst_box = 0;
@@ -188,14 +190,20 @@ static void test_variants(void **state)
     hard_holds(name, "emitted = escaped + absorbed + lost, exactly", open == 0, "%u open, %u of them dark or closed", open, dark);
     hard_holds(name, "1, 2 and 3 threads, one run or two: the same photons to the bit", split == 0, "%u differ", split);
     hard_at_most(name, "lost outside solids, share of the worst", worst_lost, 1e-3);
-    hard_holds(name, "lost inside solids (shells cut one another at random): counted", worst_inside <= 1, "%.2g of the worst", worst_inside);
+    hard_holds(name, "lost inside solids (shells cut one another at random): counted", worst_inside <= 1, "%.2g of the worst",
+               worst_inside);
     hard_at_most(name, "balance of the boxes, relative, worst", worst_box, 1e-6);
     assert_true(boxes > 0);
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
-    hard_begin("variants");
+    const bool all = argc > 1 && strcmp(argv[1], "long") == 0;
+    if (argc > 1)
+        count = all ? 1000 : strtoull(argv[1], NULL, 10);
+    if (argc > 2)
+        seed = strtoull(argv[2], NULL, 10);
+    hard_begin(all ? "long_variants" : "variants");
     hard_without_traps();
     const struct CMUnitTest tests[] = {cmocka_unit_test(test_variants)};
     return cmocka_run_group_tests_name("hard_variants", tests, NULL, NULL);

@@ -245,7 +245,7 @@ void finish_model(lum_model *model)
         model->bounds_max = v3(fmax(model->bounds_max.x, (double)p[0]), fmax(model->bounds_max.y, (double)p[1]),
                                fmax(model->bounds_max.z, (double)p[2]));
     }
-    model->parts = grown(NULL, sizeof *model->parts);
+    model->parts = grown(model->parts, sizeof *model->parts); /* it may have been finished before and grown since */
     memset(model->parts, 0, sizeof *model->parts);
     model->parts[0].triangle_count = model->triangle_count;
     model->part_count = 1;
