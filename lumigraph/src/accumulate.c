@@ -4,13 +4,15 @@
  * bits.  Rounding to the fixed point is stochastic, keyed by the photon's number and channel: the same photon always gives the same
  * integers, yet the mean has no bias however small the weights are (rounding to nearest would turn a million photons of weight 1.5e-6
  * into twice or half their flux).
- * A batch goes in two passes: find each ray's cell and prefetch it, then add; a random cell in a large table costs a memory access,
- * and the accesses of a batch overlap.
+ * A batch goes in passes: rays into columns, their fixed-point numbers, their cells (place.c), which are prefetched; then it is added.  A
+ * random cell in a large table costs a memory access, and the accesses of a batch overlap.
  */
 #include "accumulate.h"
 #include "field.h"
 #include "memory.h"
+#include "place.h"
 
+#include <float.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -62,15 +64,12 @@ static inline double dither(uint64_t number, uint64_t channel)
 }
 
 /* floor(x + f) for |x| < 2^62, f in [0,1): x rounded up with probability of its fraction; whole numbers stay. */
-static inline uint64_t round_with(double x, double f)
+static inline int64_t round_with(double x, double f)
 {
-    int64_t whole = (int64_t)x;
-    double rest = x - (double)whole;
-    if (rest < 0) {
-        rest += 1;
-        whole -= 1;
-    }
-    return (uint64_t)(whole + (rest > f));
+    const int64_t toward_zero = (int64_t)x;
+    const double rest = x - (double)toward_zero;
+    const double fraction = rest < 0 ? rest + 1 : rest;
+    return toward_zero - (rest < 0 ? 1 : 0) + (fraction > f ? 1 : 0);
 }
 
 static inline void add(_Atomic uint64_t *word, uint64_t value)
@@ -83,80 +82,113 @@ typedef struct tally {
     uint64_t rays, refused, unplaced, stored[3], residual[3], residual_squares;
 } tally;
 
-enum { BATCH = 64 };
+/* As lmg_luminance. */
+#define LUMINANCE(red, green, blue) (0.2126 * (red) + 0.7152 * (green) + 0.0722 * (blue))
 
-typedef struct entry {
-    _Atomic uint64_t *cell; /* NULL: unplaced */
-    uint64_t flux[3], square;
-} entry;
+/* A batch of rays and what is to be added for each. */
+typedef struct batch {
+    lmg_ray_columns rays;
+    double colour[3][LMG_COLUMN];
+    uint64_t number[LMG_COLUMN], cell[LMG_COLUMN];
+    int64_t good[LMG_COLUMN]; /* 0: refused */
+    int64_t flux[3][LMG_COLUMN], square[LMG_COLUMN];
+} batch;
 
-/* Fixed-point flux of a ray; false when it's refused. */
-static inline bool convert(const lmg_ray *ray, uint32_t channels, entry *out)
+static void fill_columns(const lmg_ray *rays, size_t count, batch *b)
 {
-    double y = lmg_luminance(ray->flux);
-    double largest = fmax(fmax(fabs((double)ray->flux[0]), fabs((double)ray->flux[1])), fabs((double)ray->flux[2]));
-    /* one comparison also catches NaN and infinity: sums of them aren't <= a number; fmax alone would drop a NaN, y doesn't */
-    if (!(y >= 0 && y <= LMG_MAX_RAY_FLUX && largest <= LMG_MAX_RAY_FLUX))
-        return false;
-    double d2 = v_dot(ray->direction, ray->direction);
-    if (!(d2 > 0 && d2 < HUGE_VAL) || !v_finite(ray->origin))
-        return false;
-    if (channels == 1) {
-        out->flux[0] = round_with(y * LMG_FLUX_ONE, dither(ray->number, 0));
-        out->flux[1] = out->flux[2] = 0;
-    } else {
-        for (uint64_t c = 0; c < 3; c++)
-            out->flux[c] = round_with((double)ray->flux[c] * LMG_FLUX_ONE, dither(ray->number, c));
+    for (size_t i = 0; i < count; i++) {
+        const lmg_ray *ray = &rays[i];
+        b->rays.origin[0][i] = ray->origin.x;
+        b->rays.origin[1][i] = ray->origin.y;
+        b->rays.origin[2][i] = ray->origin.z;
+        b->rays.direction[0][i] = ray->direction.x;
+        b->rays.direction[1][i] = ray->direction.y;
+        b->rays.direction[2][i] = ray->direction.z;
+        for (int c = 0; c < 3; c++)
+            b->colour[c][i] = (double)ray->flux[c];
+        b->number[i] = ray->number;
     }
-    out->square = round_with(y * y * LMG_SQUARE_ONE, dither(ray->number, 3));
-    return true;
+}
+
+/* Which rays are good: their values in range, which no NaN is. */
+LMG_WIDE static void check_columns(size_t count, batch *restrict b)
+{
+    for (size_t i = 0; i < count; i++) {
+        const double red = b->colour[0][i], green = b->colour[1][i], blue = b->colour[2][i];
+        const double x = b->rays.direction[0][i], y = b->rays.direction[1][i], z = b->rays.direction[2][i];
+        const double luminance = LUMINANCE(red, green, blue), d2 = x * x + y * y + z * z;
+        const bool flux = (luminance >= 0) & (luminance <= LMG_MAX_RAY_FLUX) & (fabs(red) <= LMG_MAX_RAY_FLUX) &
+                          (fabs(green) <= LMG_MAX_RAY_FLUX) & (fabs(blue) <= LMG_MAX_RAY_FLUX);
+        const bool line = (d2 > 0) & (d2 <= DBL_MAX) & (fabs(b->rays.origin[0][i]) <= DBL_MAX) &
+                          (fabs(b->rays.origin[1][i]) <= DBL_MAX) & (fabs(b->rays.origin[2][i]) <= DBL_MAX);
+        b->good[i] = flux & line ? 1 : 0;
+    }
+}
+
+LMG_WIDE static void fix_luminance(size_t count, batch *restrict b)
+{
+    for (size_t i = 0; i < count; i++) {
+        const double luminance = b->good[i] ? LUMINANCE(b->colour[0][i], b->colour[1][i], b->colour[2][i]) : 0;
+        b->flux[0][i] = round_with(luminance * LMG_FLUX_ONE, dither(b->number[i], 0));
+        b->square[i] = round_with(luminance * luminance * LMG_SQUARE_ONE, dither(b->number[i], 3));
+    }
+}
+
+LMG_WIDE static void fix_colours(size_t count, batch *restrict b)
+{
+    for (size_t i = 0; i < count; i++) {
+        const double luminance = b->good[i] ? LUMINANCE(b->colour[0][i], b->colour[1][i], b->colour[2][i]) : 0;
+        b->square[i] = round_with(luminance * luminance * LMG_SQUARE_ONE, dither(b->number[i], 3));
+    }
+    for (uint64_t c = 0; c < 3; c++)
+        for (size_t i = 0; i < count; i++)
+            b->flux[c][i] = round_with((b->good[i] ? b->colour[c][i] : 0) * LMG_FLUX_ONE, dither(b->number[i], c));
+}
+
+/* Adds a batch whose cells are known. */
+static void add_batch(lmg_accumulator *acc, const batch *b, size_t count, tally *sum)
+{
+    const uint32_t channels = acc->layout.channels, words = lmg_cell_words(channels);
+    for (size_t i = 0; i < count; i++) {
+        if (!b->good[i]) {
+            sum->refused++;
+            continue;
+        }
+        if (b->cell[i] == LMG_NO_CELL) {
+            sum->unplaced++;
+            for (uint32_t c = 0; c < channels; c++)
+                sum->residual[c] += (uint64_t)b->flux[c][i];
+            sum->residual_squares += (uint64_t)b->square[i];
+            continue;
+        }
+        sum->rays++;
+        _Atomic uint64_t *cell = acc->words + b->cell[i] * words, *half = cell + (b->number[i] & 1) * channels;
+        for (uint32_t c = 0; c < channels; c++) {
+            add(&half[c], (uint64_t)b->flux[c][i]);
+            sum->stored[c] += (uint64_t)b->flux[c][i];
+        }
+        add(&cell[2 * channels], (uint64_t)b->square[i]); /* behind both halves */
+    }
 }
 
 void lmg_accumulator_deposit(lmg_accumulator *acc, const lmg_ray *rays, size_t count)
 {
     const uint32_t channels = acc->layout.channels, words = lmg_cell_words(channels);
-    entry entries[BATCH];
+    batch b;
     tally sum = {0};
-    for (size_t start = 0; start < count; start += BATCH) {
-        size_t n = count - start < BATCH ? count - start : BATCH, used = 0;
-        for (size_t i = 0; i < n; i++) {
-            const lmg_ray *ray = &rays[start + i];
-            entry *e = &entries[used];
-            if (!convert(ray, channels, e)) {
-                sum.refused++;
-                continue;
-            }
-            double uvst[4];
-            int j = lmg_plan_owner(&acc->plan, ray->origin, ray->direction, uvst);
-            if (j < 0) {
-                sum.unplaced++;
-                for (int c = 0; c < 3; c++)
-                    sum.residual[c] += e->flux[c];
-                sum.residual_squares += e->square;
-                continue;
-            }
-            uint64_t cell = acc->plan.first[j] + lmg_plan_cell(&acc->plan, j, uvst);
-            _Atomic uint64_t *base = acc->words + cell * words;
-            PREFETCH_WRITE(base);
-            e->cell = base + (ray->number & 1 ? channels : 0);
-            /* the squares' word lies behind both halves: A + 2 channels */
-            used++;
-            sum.rays++;
-            for (int c = 0; c < 3; c++)
-                sum.stored[c] += e->flux[c];
-            if (ray->number & 1)
-                e->square |= (uint64_t)1 << 63; /* squares use 61 bits at most; the top one remembers the half */
-        }
-        for (size_t i = 0; i < used; i++) {
-            entry *e = &entries[i];
-            bool odd = e->square >> 63;
-            add(e->cell, e->flux[0]);
-            if (channels == 3) {
-                add(e->cell + 1, e->flux[1]);
-                add(e->cell + 2, e->flux[2]);
-            }
-            add(e->cell + (odd ? channels : 2 * channels), e->square & ~((uint64_t)1 << 63));
-        }
+    for (size_t start = 0, n; start < count; start += n) {
+        n = count - start < LMG_COLUMN ? count - start : LMG_COLUMN;
+        fill_columns(rays + start, n, &b);
+        lmg_plan_place(&acc->plan, n, &b.rays, b.cell);
+        for (size_t i = 0; i < n; i++)
+            if (b.cell[i] != LMG_NO_CELL)
+                PREFETCH_WRITE(acc->words + b.cell[i] * words);
+        check_columns(n, &b);
+        if (channels == 1)
+            fix_luminance(n, &b);
+        else
+            fix_colours(n, &b);
+        add_batch(acc, &b, n, &sum);
     }
     add(&acc->rays, sum.rays);
     add(&acc->refused, sum.refused);

@@ -64,8 +64,10 @@ void lmg_plan_prepare(lmg_plan *plan, const lmg_layout *layout)
                 double others = fabs(slab->n.x) + fabs(slab->n.y) + fabs(slab->n.z) - fabs(along);
                 can = along + others > 0;
             }
-            if (can)
+            if (can) {
                 plan->list[c][plan->count[c]++] = (uint8_t)j;
+                plan->classes[j] |= (uint8_t)(1 << c);
+            }
         }
     }
 }

@@ -22,21 +22,33 @@ static inline int lmg_direction_class(lmg_vec3 d)
     return az > 0 ? 4 + (d.z < 0) : -1;
 }
 
+/*
+ * Angle of the point (l, m), 0 <= m <= l, over 45 degrees: 4/pi atan(m/l), in [0,1]; 0 where both are.  Above tan(22.5 degrees) it is
+ * one less the angle of (l + m, l - m).  The polynomial in the squared tangent (up to tan(22.5)^2) is Chebyshev's, off by less than 1e-17 of
+ * the angle before its coefficients were rounded.  Without branches and calls, so that it can be done for many rays at once, and with
+ * the same bits on every C library.
+ */
+static inline double lmg_octant_angle(double m, double l)
+{
+    bool upper = m > 0.41421356237309503 * l;
+    double side = upper ? m - l : m, base = upper ? m + l : l;
+    double z = side / d_max(base, 0x1p-1022), q = z * z, q2 = q * q, q4 = q2 * q2;
+    double a = (1.2732395447351628 - 0.42441318157838487 * q) + (0.2546479089462799 - 0.18189136345129195 * q) * q2;
+    double b = (0.1414710558636348 - 0.11574889314407025 * q) + (0.09793816295200183 - 0.08483533733777557 * q) * q2;
+    double c = (0.07444476661415464 - 0.06410891559538259 * q) + (0.04833886711631351 - 0.022670535831656992 * q) * q2;
+    double angle = z * (a + q4 * (b + q4 * c));
+    return upper ? 1 + angle : angle;
+}
+
 /* Concentric map between disc and square [Shirley and Chiu 1997]; the square's horizontal and vertical wedges are those of |s| >= |t| and the rest. */
 static inline void lmg_disc_to_square(double x, double y, double *s, double *t)
 {
-    double r = sqrt(x * x + y * y);
-    if (r > 1)
-        r = 1; /* rounding: the components of a unit vector square to 1 + 4 eps at most */
-    if (fabs(x) >= fabs(y)) {
-        double rs = x < 0 ? -r : r;
-        *s = rs;
-        *t = x != 0 ? rs * (4 / LMG_PI) * atan(y / x) : 0;
-    } else {
-        double rt = y < 0 ? -r : r;
-        *s = rt * (4 / LMG_PI) * atan(x / y);
-        *t = rt;
-    }
+    double ax = fabs(x), ay = fabs(y);
+    bool horizontal = ax >= ay;
+    /* Rounding: the components of a unit vector square to 1 + 4 eps at most. */
+    double r = d_min(sqrt(x * x + y * y), 1), other = r * lmg_octant_angle(horizontal ? ay : ax, horizontal ? ax : ay);
+    *s = copysign(horizontal ? r : other, x);
+    *t = copysign(horizontal ? other : r, y);
 }
 
 /* Inverse; *z is the third direction cosine, stable near the rim. */
@@ -67,28 +79,48 @@ static inline void lmg_slab_crossing(const lmg_slab *slab, lmg_vec3 origin, lmg_
     *v = v_dot(w, slab->b) + k * v_dot(d, slab->b);
 }
 
+/* (s,t) of direction d in the frame of an aperture slab, */
+static inline void lmg_aperture_st(const lmg_slab *slab, lmg_vec3 d, double *s, double *t)
+{
+    double inv = 1 / sqrt(v_dot(d, d));
+    lmg_disc_to_square(v_dot(d, slab->a) * inv, v_dot(d, slab->b) * inv, s, t);
+}
+
+/* of a cube slab without second plane: slopes; with one, of the line through (u,v). */
+static inline void lmg_slope_st(const lmg_slab *slab, lmg_vec3 d, double dn, double *s, double *t)
+{
+    *s = v_dot(d, slab->a) / dn;
+    *t = v_dot(d, slab->b) / dn;
+}
+
+static inline void lmg_plane_st(const lmg_slab *slab, lmg_vec3 d, double dn, double u, double v, double *s, double *t)
+{
+    lmg_slope_st(slab, d, dn, s, t);
+    *s = u + slab->distance * *s;
+    *t = v + slab->distance * *t;
+}
+
 /* (s,t) of a line through (u,v) with direction d. */
 static inline void lmg_slab_st(const lmg_slab *slab, lmg_vec3 d, double dn, double u, double v, double *s, double *t)
 {
-    if (slab->kind == LMG_SLAB_APERTURE) {
-        double inv = 1 / sqrt(v_dot(d, d));
-        lmg_disc_to_square(v_dot(d, slab->a) * inv, v_dot(d, slab->b) * inv, s, t);
-    } else {
-        double p = v_dot(d, slab->a) / dn, q = v_dot(d, slab->b) / dn;
-        if (isinf(slab->distance)) {
-            *s = p;
-            *t = q;
-        } else {
-            *s = u + slab->distance * p;
-            *t = v + slab->distance * q;
-        }
-    }
+    if (slab->kind == LMG_SLAB_APERTURE)
+        lmg_aperture_st(slab, d, s, t);
+    else if (isinf(slab->distance))
+        lmg_slope_st(slab, d, dn, s, t);
+    else
+        lmg_plane_st(slab, d, dn, u, v, s, t);
 }
 
-/* Whether x is in [lo, hi), or at hi where that's the end of the coordinate's domain (1 for slopes and squares): nothing lies beyond. */
+/* Where the range of an (s,t) coordinate ends, exclusive: the end of the coordinate's domain (1 for slopes and squares) is included, as
+ * nothing lies beyond. */
+static inline double lmg_st_end(const lmg_slab *slab, double hi)
+{
+    return hi == 1 && (slab->kind == LMG_SLAB_APERTURE || isinf(slab->distance)) ? 1 + 0x1p-52 : hi;
+}
+
 static inline bool lmg_in_st(const lmg_slab *slab, double x, double lo, double hi)
 {
-    return x >= lo && (x < hi || (x == hi && hi == 1 && (slab->kind == LMG_SLAB_APERTURE || isinf(slab->distance))));
+    return x >= lo && x < lmg_st_end(slab, hi);
 }
 
 /* Same plane, axes, kind and second plane, so that coordinates in one are coordinates in the other. */
@@ -117,6 +149,7 @@ typedef struct lmg_plan {
     uint8_t count[6];
     uint8_t list[6][LMG_MAX_SLABS];
     uint8_t frame[LMG_MAX_SLABS]; /* slabs with the same number share their coordinates */
+    uint8_t classes[LMG_MAX_SLABS]; /* bit c: directions of class c may be the slab's */
     double scale[LMG_MAX_SLABS][4]; /* cells per unit of u,v,s,t */
     double low[LMG_MAX_SLABS][4];   /* where they begin */
     int32_t last[LMG_MAX_SLABS][4]; /* number of the last cell */

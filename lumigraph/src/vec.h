@@ -9,6 +9,17 @@
 
 #define LMG_PI 3.14159265358979323846
 
+/*
+ * For functions that work on columns of numbers: compiled for several instruction sets, the best one chosen when the program starts.
+ * The arithmetic is the same operation by operation (nothing is contracted or reordered), so the results are the same bits.
+ */
+#if defined(__x86_64__) && defined(__ELF__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__) && \
+    !defined(__SANITIZE_THREAD__)
+#define LMG_WIDE __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
+#else
+#define LMG_WIDE
+#endif
+
 static inline double v_dot(lmg_vec3 a, lmg_vec3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;

@@ -5,6 +5,7 @@
 #include "etendue.h"
 #include "field.h"
 #include "geometry.h"
+#include "place.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -417,6 +418,87 @@ static void many_slabs_above_one(void **state)
     }
 }
 
+/* The own arctangent of the concentric map, against the C library's: three roundings of the division, the polynomial and its product. */
+static void octant_angle_is_the_arctangent(void **state)
+{
+    (void)state;
+    lamp_rng g = lamp_stream(17, 4);
+    assert_true(lmg_octant_angle(0, 0) == 0 && lmg_octant_angle(0, 1) == 0 && lmg_octant_angle(0.3, 0.3) == 1);
+    assert_true(lmg_octant_angle(0x1p-1030, 0x1p-1030) <= 1);
+    for (int k = 0; k < 200000; k++) {
+        const double l = lamp_next(&g), m = l * (k % 2 ? lamp_next(&g) : ldexp(lamp_next(&g), -(k % 60))), angle = lmg_octant_angle(m, l);
+        const double expected = 4 / PI * atan(m / l);
+        assert_true(angle >= 0 && angle <= 1);
+        assert_near(angle, expected, 4 * 0x1p-52 * expected);
+    }
+}
+
+/* Columns give each ray the cell that it gets alone, to the bit: all kinds of slabs and their priorities, rays of all kinds, on borders too. */
+static void many_rays_go_where_each_goes(void **state)
+{
+    (void)state;
+    lmg_layout layouts[4];
+    layouts[0] = cube_layout(RESOLUTIONS[3]);
+    layouts[1] = cube_layout(RESOLUTIONS[3]); /* two planes */
+    for (int c = 0; c < 6; c++)
+        layouts[1].slabs[c] = cube_slab(c, 0.31, RESOLUTIONS[3]);
+    layouts[2] = cube_layout(RESOLUTIONS[3]); /* windows before their own slabs, and a frame that comes twice */
+    for (int c = 5; c >= 0; c--)
+        layouts[2].slabs[c + 3] = layouts[2].slabs[c];
+    for (int k = 0; k < 3; k++) {
+        lmg_slab *s = &layouts[2].slabs[k];
+        *s = cube_slab(k == 1 ? 3 : 0, INFINITY, RESOLUTIONS[4]);
+        s->u0 = s->v0 = -0.1 - 0.02 * k;
+        s->u1 = s->v1 = 0.07;
+        s->s0 = s->t0 = -0.25;
+        s->s1 = s->t1 = k == 2 ? 1 : 0.5;
+    }
+    layouts[2].slab_count = 9;
+    layouts[3] = cube_layout(RESOLUTIONS[3]); /* an aperture before the cube */
+    for (int c = 5; c >= 0; c--)
+        layouts[3].slabs[c + 1] = layouts[3].slabs[c];
+    layouts[3].slabs[0] = aperture_slab(RESOLUTIONS[4]);
+    layouts[3].slab_count = 7;
+    for (int k = 0; k < 4; k++) {
+        const lmg_layout *l = &layouts[k];
+        lmg_error err;
+        assert_int_equal(lmg_layout_check(l, &err), LMG_OK);
+        lmg_plan plan;
+        lmg_plan_prepare(&plan, l);
+        lamp_rng g = lamp_stream(8, (uint64_t)k);
+        int placed = 0, aperture_or_window = 0;
+        for (size_t batch = 0; batch < 1000; batch++) {
+            const size_t count = batch % LMG_COLUMN + 1;
+            static lmg_ray_columns rays;
+            uint64_t cell[LMG_COLUMN];
+            for (size_t i = 0; i < count; i++) {
+                double o[3], d[3];
+                for (int c = 0; c < 3; c++) {
+                    o[c] = batch % 5 ? (&LO.x)[c] + lamp_next(&g) * ((&HI.x)[c] - (&LO.x)[c]) : lamp_next(&g) - 0.5;
+                    d[c] = batch % 7 ? 2 * lamp_next(&g) - 1 : floor(3 * lamp_next(&g)) - 1; /* axes and diagonals, or nothing */
+                }
+                if (batch % 11 == 0) /* on the border of a slab's rectangle */
+                    o[i % 3] = l->slabs[0].u0;
+                for (int c = 0; c < 3; c++) {
+                    rays.origin[c][i] = o[c];
+                    rays.direction[c][i] = d[c];
+                }
+            }
+            lmg_plan_place(&plan, count, &rays, cell);
+            for (size_t i = 0; i < count; i++) {
+                const lmg_vec3 o = {rays.origin[0][i], rays.origin[1][i], rays.origin[2][i]};
+                const lmg_vec3 d = {rays.direction[0][i], rays.direction[1][i], rays.direction[2][i]};
+                double uvst[4];
+                const int j = lmg_plan_owner(&plan, o, d, uvst);
+                assert_true(cell[i] == (j < 0 ? LMG_NO_CELL : plan.first[j] + lmg_plan_cell(&plan, j, uvst)));
+                placed += j >= 0;
+                aperture_or_window += j >= 0 && j + 6 < (int)l->slab_count;
+            }
+        }
+        assert_true(placed > 30000 && (k < 2 || aperture_or_window > 1000)); /* of 60,000: all had something to do */
+    }
+}
+
 static void bad_layouts_are_refused(void **state)
 {
     (void)state;
@@ -478,6 +560,8 @@ int main(void)
         cmocka_unit_test(effective_etendue_is_that_of_the_bounds),
         cmocka_unit_test(effective_etendue_of_all_cells),
         cmocka_unit_test(many_slabs_above_one),
+        cmocka_unit_test(octant_angle_is_the_arctangent),
+        cmocka_unit_test(many_rays_go_where_each_goes),
         cmocka_unit_test(bad_layouts_are_refused),
         cmocka_unit_test(hash_is_fnv),
     };
