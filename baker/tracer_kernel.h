@@ -13,7 +13,7 @@
  *     start()        it is born: position, direction, colour
  *     fly()          along a segment, before its end is looked at: absorption in solids
  *                    fly_through() in kernels with media: also scattering, which starts a new segment
- *     meet()         at a surface: scattering, passing by, entering and leaving solids
+ *     meet(), leave() at a surface: passing by, entering and leaving solids; scattering, in between, is done for all paths together
  *     escape()       it leaves the model
  *
  * survivors() turns any loss into whole photons; of light by wavelength, survives().  Numbers are drawn where a model needs them,
@@ -94,6 +94,14 @@ typedef struct worker {
     double reach[WAVE]; /* distance drawn for the segment, in a medium inside a solid; negative: none */
 #endif
     path path[WAVE];
+    bool goes_on[WAVE];
+    /* Paths that are to be scattered: what they meet, which they are, how many photons each stands for. */
+    uint32_t met_count;
+    lum_encounter met[WAVE];
+    uint32_t met_path[WAVE], met_photons[WAVE];
+#if KERNEL_FEATURES & TRACER_SPECTRAL
+    bool converted[WAVE]; /* by a phosphor, just now */
+#endif
     uint32_t pending_count;
     waiting_path pending[MAX_PENDING];
     uint16_t order[BAKE_CHUNK]; /* of a chunk's photons: order_photons */
@@ -561,70 +569,96 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
 }
 #endif
 
-/* What happens to path i, now standing for `photons` equal ones, at a surface; the number that goes on, with origin and direction
- * renewed. */
-static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, lum_surface *surface, int32_t material, uint32_t photons)
+static inline int32_t material_of(const tracer *t, const lum_encounter *e)
+{
+    return (int32_t)(e->surface.material - t->model->materials);
+}
+
+/*
+ * What happens at a surface to path i, now standing for `photons` equal ones, before scattering.  The encounter after the last of
+ * w->met holds the surface; if light is scattered by it, it is completed and kept.  Otherwise returns whether the path goes on, with its
+ * origin renewed.
+ */
+static inline bool meet(const tracer *t, worker *w, uint32_t i, uint32_t photons)
 {
     path *p = &w->path[i];
     const lum_hit *hit = &w->hit[i];
+    lum_encounter *e = &w->met[w->met_count];
+    lum_surface *surface = &e->surface;
 #if KERNEL_FEATURES & TRACER_SOLIDS
+    const int32_t material = material_of(t, e);
     if (is_unnoticed(t, p, material, surface->front)) {
         if (!cross_boundary(t, p, material, surface->front)) {
             w->counts.lost += photons * units_of(p);
-            return 0;
+            return false;
         }
         w->origin[i] = straight_on(hit, w->origin[i], w->direction[i]);
-        return photons;
+        put_aside(w, i, photons - 1);
+        return true;
     }
 #endif
     if (HAS(TRACER_COVERAGE) && surface->coverage < 1 && lum_rng_next(&p->rng) >= (double)surface->coverage) {
         w->origin[i] = lum_offset(hit, w->direction[i]);
-        return photons;
+        put_aside(w, i, photons - 1);
+        return true;
     }
 #if KERNEL_FEATURES & TRACER_SPECTRAL
     bool converted = false;
     if (t->spectral) {
         const lum_wave_material *m = &t->spectral->materials[material];
         if (!choose_wave(t, w, p, material))
-            return 0;
+            return false;
         surface->ior = lum_waves_index(t->spectral, material, &p->waves, surface->ior);
         if (m->phosphor) {
             if (!meet_phosphor(t, w, p, m->phosphor, &converted))
-                return 0;
+                return false;
             if (converted)
                 surface->diffuse_transmission = (float)m->phosphor->forward;
         }
     }
+    w->converted[w->met_count] = converted;
 #endif
-    double xi[4];
     for (int k = 0; k < 4; ++k)
-        xi[k] = lum_rng_next(&p->rng);
-    float index = 1;
+        e->xi[k] = lum_rng_next(&p->rng);
 #if KERNEL_FEATURES & TRACER_SOLIDS
-    index = index_outside(t, p, material, surface->front);
+    e->eta_outside = index_outside(t, p, material, surface->front);
 #else
-    (void)t, (void)material;
+    (void)t;
+    e->eta_outside = 1;
 #endif
-    lum_polarization *polarization = NULL;
+    e->polarization = NULL;
 #if KERNEL_FEATURES & TRACER_POLARIZATION
-    polarization = t->polarized ? &p->polarization : NULL;
+    e->polarization = t->polarized ? &p->polarization : NULL;
 #endif
-    const lmg_vec3 d = w->direction[i], wi = {-d.x, -d.y, -d.z};
-    lum_scattered s;
-    lum_scatter_trace(surface, wi, index, xi, polarization, &s);
-    if (!(s.event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
+    const lmg_vec3 d = w->direction[i];
+    e->wi = (lmg_vec3){-d.x, -d.y, -d.z};
+    w->met_path[w->met_count] = i;
+    w->met_photons[w->met_count++] = photons;
+    return false;
+}
+
+/* What happens after the scattering of encounter k: whether its path goes on, with origin and direction renewed. */
+static inline bool leave(const tracer *t, worker *w, uint32_t k)
+{
+    const uint32_t i = w->met_path[k];
+    uint32_t photons = w->met_photons[k];
+    path *p = &w->path[i];
+    const lum_hit *hit = &w->hit[i];
+    const lum_encounter *e = &w->met[k];
+    const lum_scattered *s = &e->out;
+    if (!(s->event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
         w->counts.absorbed += photons * units_of(p);
-        return 0;
+        return false;
     }
-    const double share[3] = {(double)s.weight[0], (double)s.weight[1], (double)s.weight[2]};
-    if (!isfinite(s.wo.x + s.wo.y + s.wo.z + share[0] + share[1] + share[2])) {
+    const double share[3] = {(double)s->weight[0], (double)s->weight[1], (double)s->weight[2]};
+    if (!isfinite(s->wo.x + s->wo.y + s->wo.z + share[0] + share[1] + share[2])) {
         w->counts.lost += photons * units_of(p);
-        return 0;
+        return false;
     }
 #if KERNEL_FEATURES & TRACER_SPECTRAL
     if (t->spectral) {
-        if (!converted && !survives_surface(t, w, p, material, &s))
-            return 0;
+        if (!w->converted[k] && !survives_surface(t, w, p, material_of(t, e), s))
+            return false;
     } else
 #endif
     {
@@ -633,26 +667,32 @@ static inline uint32_t meet(const tracer *t, worker *w, uint32_t i, lum_surface 
         photons *= each;
     }
     if (photons == 0)
-        return 0;
+        return false;
 #if KERNEL_FEATURES & TRACER_SOLIDS
-    if (s.event & LUM_BOUNDARY && !cross_boundary(t, p, material, surface->front)) {
+    if (s->event & LUM_BOUNDARY && !cross_boundary(t, p, material_of(t, e), e->surface.front)) {
         w->counts.lost += photons * units_of(p);
-        return 0;
+        return false;
     }
+#else
+    (void)t;
 #endif
-    if (s.wo.x == d.x && s.wo.y == d.y && s.wo.z == d.z) {
+    const lmg_vec3 d = w->direction[i];
+    if (s->wo.x == d.x && s->wo.y == d.y && s->wo.z == d.z) {
         w->origin[i] = pass_straight(hit, d);
-        return photons;
+    } else {
+        w->origin[i] = lum_offset(hit, s->wo);
+        /* One Newton step towards unit length: rounding doesn't add up over hundreds of bounces. */
+        const double n = 1.5 - 0.5 * (s->wo.x * s->wo.x + s->wo.y * s->wo.y + s->wo.z * s->wo.z);
+        w->direction[i] = (lmg_vec3){s->wo.x * n, s->wo.y * n, s->wo.z * n};
     }
-    w->origin[i] = lum_offset(hit, s.wo);
-    /* One Newton step towards unit length: rounding doesn't add up over hundreds of bounces. */
-    const double n = 1.5 - 0.5 * (s.wo.x * s.wo.x + s.wo.y * s.wo.y + s.wo.z * s.wo.z);
-    w->direction[i] = (lmg_vec3){s.wo.x * n, s.wo.y * n, s.wo.z * n};
-    return photons;
+    if (photons > 1)
+        put_aside(w, i, photons - 1);
+    return true;
 }
 
-/* What happens to path i of the wave along its segment and at its end.  Returns whether it goes on. */
-static inline bool interact(const tracer *t, worker *w, uint32_t i)
+/* What happens to path i of the wave along its segment and at its end, up to scattering: whether it goes on, unless it is kept among
+ * w->met, from where leave decides. */
+static inline bool arrive(const tracer *t, worker *w, uint32_t i)
 {
     const lum_hit *hit = &w->hit[i];
     uint32_t photons = 1;
@@ -681,25 +721,31 @@ static inline bool interact(const tracer *t, worker *w, uint32_t i)
         return false;
     }
     ++w->path[i].segments;
-    lum_surface surface;
-    lum_surface_at(t->scene, hit, w->direction[i], &surface);
-    const int32_t material = (int32_t)(surface.material - t->model->materials);
+    lum_encounter *e = &w->met[w->met_count];
+    lum_surface_at(t->scene, hit, w->direction[i], &e->surface);
 #if KERNEL_FEATURES & TRACER_SURVEY
-    note_effects(&w->path[i], w->survey->effects[material] & ~BAKE_EMISSION_BITS);
+    note_effects(&w->path[i], w->survey->effects[material_of(t, e)] & ~BAKE_EMISSION_BITS);
 #endif
 #if (KERNEL_FEATURES & TRACER_SOLIDS) && !(KERNEL_FEATURES & TRACER_MEDIA)
-    if (!notice_birth_inside(t, &w->path[i], material, surface.front)) {
+    if (!notice_birth_inside(t, &w->path[i], material_of(t, e), e->surface.front)) {
         w->counts.lost += units_of(&w->path[i]);
         return false;
     }
 #endif
     if (!HAS(TRACER_MEDIA))
         photons = fly(t, w, i, hit->t);
-    if (photons > 0)
-        photons = meet(t, w, i, &surface, material, photons);
-    if (photons > 1)
-        put_aside(w, i, photons - 1);
-    return photons > 0;
+    return photons > 0 && meet(t, w, i, photons);
+}
+
+/* What happens to `count` paths from `first` on, from the start of their segments to that of the next: w->goes_on. */
+static void interact(const tracer *t, worker *w, uint32_t first, uint32_t count)
+{
+    w->met_count = 0;
+    for (uint32_t i = first; i < first + count; ++i)
+        w->goes_on[i] = arrive(t, w, i);
+    lum_scatter_trace_many(w->met_count, w->met);
+    for (uint32_t k = 0; k < w->met_count; ++k)
+        w->goes_on[w->met_path[k]] = leave(t, w, k);
 }
 
 /* Draws the light of the next photons of the chunk, in the order of order_photons. */
@@ -814,7 +860,8 @@ static void follow_alone(const tracer *t, worker *w, uint32_t i)
 {
     for (;;) {
         find_hits(t, w, i, 1);
-        if (!interact(t, w, i))
+        interact(t, w, i, 1);
+        if (!w->goes_on[i])
             return;
         if (w->path[i].segments == RUNAWAY_SEGMENTS) {
             w->counts.lost += units_of(&w->path[i]);
@@ -826,7 +873,7 @@ static void follow_alone(const tracer *t, worker *w, uint32_t i)
     }
 }
 
-/* Path i has ended; the last path of the wave, whose hit may still have to be worked on, takes its place. */
+/* Path i has ended; the last path of the wave takes its place. */
 static inline void close_gap(const tracer *t, worker *w, uint32_t i)
 {
 #if KERNEL_FEATURES & TRACER_SURVEY
@@ -838,6 +885,7 @@ static inline void close_gap(const tracer *t, worker *w, uint32_t i)
     w->origin[i] = w->origin[last];
     w->direction[i] = w->direction[last];
     w->hit[i] = w->hit[last];
+    w->goes_on[i] = w->goes_on[last];
 #if KERNEL_FEATURES & TRACER_MEDIA
     w->reach[i] = w->reach[last];
 #endif
@@ -877,8 +925,9 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
         if (j->record)
             record(j, w);
         find_hits(t, w, 0, w->alive);
+        interact(t, w, 0, w->alive);
         for (uint32_t i = 0; i < w->alive;) {
-            if (!interact(t, w, i)) {
+            if (!w->goes_on[i]) {
                 close_gap(t, w, i);
             } else if (w->path[i].segments < LONG_SEGMENTS) {
                 ++i;

@@ -217,24 +217,34 @@ static inline double facets_d(const facets *f, lmg_vec3 h)
     return a2 / (LUM_PI * e * e);
 }
 
-/* Isotropic. c: cosine of wi with n, in (0,1]. */
-static inline facets facets_from(lmg_vec3 n, lmg_vec3 wi, double c, double alpha)
+/* Isotropic, x being given: unit, in the plane of wi and n, or any if wi is n.  c, s: cosine and sine of wi with n, c > 0. */
+static inline facets facets_about(lmg_vec3 n, lmg_vec3 x, double c, double s, double alpha)
 {
     facets f;
-    lmg_vec3 x = vec_along(wi, n, -c);
-    double s2 = vec_dot(x, x), s = 0;
     f.n = n;
-    if (s2 > 1e-24) { /* closer to the normal the frame doesn't matter */
-        s = sqrt(s2);
-        f.x = vec_scale(x, 1 / s);
-        f.y = vec_cross(n, f.x);
-    } else {
-        vec_frame(n, &f.x, &f.y);
-    }
+    f.x = x;
+    f.y = vec_cross(n, x);
     f.wi = vec(s, 0, c);
     f.ax = f.ay = alpha;
     f.b = facets_b(&f, f.wi);
     return f;
+}
+
+/* Below this square of the sine, wi is so close to the normal that the frame doesn't matter. */
+#define LUM_NO_SINE 1e-24
+
+/* Isotropic. c: cosine of wi with n, in (0,1]. */
+static inline facets facets_from(lmg_vec3 n, lmg_vec3 wi, double c, double alpha)
+{
+    lmg_vec3 x = vec_along(wi, n, -c), y;
+    double s2 = vec_dot(x, x), s = 0;
+    if (s2 > LUM_NO_SINE) {
+        s = sqrt(s2);
+        x = vec_scale(x, 1 / s);
+    } else {
+        vec_frame(n, &x, &y);
+    }
+    return facets_about(n, x, c, s, alpha);
 }
 
 /* A facet distributed as wi sees them: visible normals [heitz2018vndf], by spherical caps [dupuy2023caps]. */

@@ -13,13 +13,6 @@
 
 /* --------------------------------------------------------------------------------------------------------------- parts */
 
-INLINE void set_weight(lum_scattered *out, const float w[3])
-{
-    out->weight[0] = w[0];
-    out->weight[1] = w[1];
-    out->weight[2] = w[2];
-}
-
 INLINE void set_white(lum_scattered *out)
 {
     out->weight[0] = out->weight[1] = out->weight[2] = 1;
@@ -116,8 +109,8 @@ INLINE void sample_metal(const lum_surface *surface, const side *at, lmg_vec3 wi
 INLINE void sample_base(const lum_surface *surface, const side *at, const lum_lobe_set *coat, double azimuth, double x, double y,
                         lum_polarization *pol, lum_scattered *out)
 {
-    bool through = choose(&azimuth, (double)surface->diffuse_transmission);
-    double q = coat ? lum_lobe_sample_flat(coat, (double)surface->alpha, x, y) : x;
+    double q;
+    bool through = base_goes_through(surface, coat, &azimuth, x, y, &q);
     set_weight(out, through ? surface->through : surface->base);
     leave_diffusely(at, through, azimuth, q, pol, out);
 }
@@ -203,11 +196,10 @@ INLINE void sample_coated(const lum_surface *surface, const side *at, lmg_vec3 w
         sample_coated_polarized(surface, at, wi, coat, eta, xi, u, pol, out);
     } else {
         /* The share 1 - E enters the base.  The facet that lets light enter doesn't matter for what follows. */
-        if (u >= (double)lum_lobe_floor(coat, alpha, at->ci * at->ci)) {
-            double rest = lum_lobe_rest(coat, alpha, at->ci);
-            if (u >= rest && sample_coat(at, wi, alpha, eta, xi, (u - rest) / (1 - rest), pol, out)) {
-                return;
-            }
+        double rest;
+        if (!coat_admits(coat, alpha, at->ci, u, &rest) &&
+            sample_coat(at, wi, alpha, eta, xi, (u - rest) / (1 - rest), pol, out)) {
+            return;
         }
         sample_base(surface, at, coat, xi[0], xi[1], xi[2], pol, out);
     }

@@ -4,7 +4,7 @@
 
 #include <luminaires/rng.h>
 
-static void set_weight(lum_scattered *out, const float w[3], double factor)
+static void set_scaled_weight(lum_scattered *out, const float w[3], double factor)
 {
     for (int k = 0; k < 3; k++) {
         out->weight[k] = (float)((double)w[k] * factor);
@@ -50,7 +50,7 @@ static bool sample_clearcoat(const lum_surface *s, const side *at, lmg_vec3 wi, 
         }
         wo = facets_to_model(&f, o);
     }
-    set_weight(out, white, 1);
+    set_scaled_weight(out, white, 1);
     leave(at, wo, true, event, out);
     return true;
 }
@@ -75,7 +75,7 @@ static bool sample_sheen(const lum_surface *s, const side *at, lmg_vec3 wi, lum_
         if (u < d && u * (1 + lambda + lum_sheen_lambda(alpha, z)) * lum_sheen_cap(table, alpha, z) < d * (1 + lambda)) {
             float weight[3];
             shares_of_largest(s->layers.sheen, strength, weight);
-            set_weight(out, weight, 1);
+            set_scaled_weight(out, weight, 1);
             leave(at, facets_to_model(&f, o), true, LUM_REFLECTED, out);
             return true;
         }
@@ -125,7 +125,7 @@ static void sample_layered_metal(const lum_surface *s, const side *at, lmg_vec3 
             }
             repeated_reflectance(s, lost, r);
             out->event = LUM_REFLECTED;
-            set_weight(out, r, attenuation(s, at, passed, out->wo));
+            set_scaled_weight(out, r, attenuation(s, at, passed, out->wo));
             return;
         }
         metal_reflectance(s, facet_cosine(&h), r);
@@ -136,7 +136,7 @@ static void sample_layered_metal(const lum_surface *s, const side *at, lmg_vec3 
         event |= LUM_DELTA;
     }
     leave(at, wo, true, event, out);
-    set_weight(out, r, attenuation(s, at, passed, out->wo));
+    set_scaled_weight(out, r, attenuation(s, at, passed, out->wo));
 }
 
 /* Whether light from f->wi gets away after one bounce on a facet of the boundary; eta: the relative index that it meets. */
@@ -190,7 +190,7 @@ static void sample_layered_clear(const lum_surface *s, const side *at, lmg_vec3 
     if (fabs(eta - 1) < LUM_NO_STEP && !changes_reflectance(s)) {
         out->wo = d;
         out->event = LUM_TRANSMITTED | LUM_DELTA | boundary;
-        set_weight(out, s->base, attenuation(s, at, passed, d));
+        set_scaled_weight(out, s->base, attenuation(s, at, passed, d));
         return;
     }
     if (rough) {
@@ -221,12 +221,12 @@ static void sample_layered_clear(const lum_surface *s, const side *at, lmg_vec3 
     if (!kept) {
         if (!thin && changes_reflectance(s)) {
             sample_changed_rest(s, at, tables, eta, rng, out);
-            set_weight(out, out->weight, attenuation(s, at, passed, out->wo));
+            set_scaled_weight(out, out->weight, attenuation(s, at, passed, out->wo));
             return;
         }
         double xi[4] = {lum_rng_next(rng), lum_rng_next(rng), lum_rng_next(rng), lum_rng_next(rng)};
         lum_sample_repeated(s, at, tables, eta, xi, NULL, out);
-        set_weight(out, out->weight, attenuation(s, at, passed, out->wo));
+        set_scaled_weight(out, out->weight, attenuation(s, at, passed, out->wo));
         return;
     }
     float weight[3];
@@ -237,7 +237,7 @@ static void sample_layered_clear(const lum_surface *s, const side *at, lmg_vec3 
         memcpy(weight, s->base, sizeof weight);
         leave(at, wo, false, LUM_TRANSMITTED | delta | boundary, out);
     }
-    set_weight(out, weight, attenuation(s, at, passed, out->wo));
+    set_scaled_weight(out, weight, attenuation(s, at, passed, out->wo));
 }
 
 /* Whether light that comes from the base with cosine mu gets out through the dielectric's facets. */
@@ -286,7 +286,7 @@ static void sample_layered_base(const lum_surface *s, const side *at, lmg_vec3 w
             if (lum_rng_next(rng) < top) {
                 shares_of_largest(r, top, weight);
                 leave(at, wo, true, LUM_REFLECTED | (rough ? 0 : LUM_DELTA), out);
-                set_weight(out, weight, attenuation(s, at, passed, out->wo));
+                set_scaled_weight(out, weight, attenuation(s, at, passed, out->wo));
                 return;
             }
         }
@@ -303,7 +303,7 @@ static void sample_layered_base(const lum_surface *s, const side *at, lmg_vec3 w
     }
     out->wo = vec_about_squared(through ? vec_scale(at->g, -1) : at->g, q, lum_rng_next(rng));
     out->event = through ? LUM_TRANSMITTED : LUM_REFLECTED;
-    set_weight(out, through ? s->through : s->base, 1);
+    set_scaled_weight(out, through ? s->through : s->base, 1);
 }
 
 void lum_sample_layers(const lum_surface *s, const side *at, lmg_vec3 wi, float eta_outside, const double xi[4],
@@ -326,7 +326,7 @@ void lum_sample_layers(const lum_surface *s, const side *at, lmg_vec3 wi, float 
         if ((s->layers_present & LUM_LAYER_SHEEN) && sample_sheen(s, at, wi, &rng, out)) {
             if (s->layers_present & LUM_LAYER_CLEARCOAT) { /* it lies under the coat */
                 double c = fmin(fabs(vec_dot(out->wo, at->g)), 1), ratio = coat_passes(s, c) / coat_passes(s, coat_cosine);
-                set_weight(out, out->weight, ratio < 1 ? ratio : 1);
+                set_scaled_weight(out, out->weight, ratio < 1 ? ratio : 1);
             }
             return;
         }

@@ -132,6 +132,32 @@ INLINE const lum_lobe_set *coat_of(const lum_surface *surface, const lum_medium_
     return from_inside ? NULL : tables->coat;
 }
 
+INLINE void set_weight(lum_scattered *out, const float w[3])
+{
+    out->weight[0] = w[0];
+    out->weight[1] = w[1];
+    out->weight[2] = w[2];
+}
+
+/* Whether unpolarized light enters the base below a rough coat, as the share 1 - E does; *rest is set where it doesn't: 1 - E. */
+INLINE bool coat_admits(const lum_lobe_set *coat, double alpha, double ci, double u, double *rest)
+{
+    if (u < (double)lum_lobe_floor(coat, alpha, ci * ci)) {
+        return true;
+    }
+    *rest = lum_lobe_rest(coat, alpha, ci);
+    return u < *rest;
+}
+
+/* Of light in the base of a coated diffuser (coat NULL: no interface): whether it goes through to the other side, and the squared
+ * cosine with which it leaves; the azimuth serves for the choice, and stays uniform. */
+INLINE bool base_goes_through(const lum_surface *surface, const lum_lobe_set *coat, double *azimuth, double x, double y, double *q)
+{
+    bool through = choose(azimuth, (double)surface->diffuse_transmission);
+    *q = coat ? lum_lobe_sample_flat(coat, (double)surface->alpha, x, y) : x;
+    return through;
+}
+
 /* Densities of lobes at a direction wo. */
 typedef struct density {
     double pdf; /* of directions, all reflectances 1 */
