@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Sampling of many surfaces at once.  A sample is a chain of square roots and divisions, each waiting for the last; what most light in
- * luminaires meets, diffuse surfaces (painted ones too) and rough metals, is done in columns instead.  What is to happen is decided one
- * by one, then directions are computed together, with the operations of scatter.c in their order.  The rest is left to lum_scatter_trace.
+ * Sampling of many surfaces at once.  A sample is a chain of square roots and divisions, each waiting for the last; what most light
+ * in luminaires meets, diffuse surfaces (painted ones too) and rough metals, is done in columns instead.  What is to happen is
+ * decided one by one, then directions are computed together, with the operations of scatter.c in their order.  The rest is left to
+ * lum_scatter_trace.
  */
 #include "polarization.h"
 #include "scatter_parts.h"
@@ -69,7 +70,8 @@ LUM_WIDE static void reflect_on_facets(facet_columns *restrict c)
     }
 }
 
-static inline void add_diffuse(lum_encounter *e, uint32_t k, const side *at, bool behind, double azimuth, double q, diffuse_columns *c)
+static inline void add_diffuse(lum_encounter *e, uint32_t k, const side *at, bool behind, double azimuth, double q,
+                               diffuse_columns *c)
 {
     const size_t i = c->count++;
     depolarize(e->polarization);
@@ -115,7 +117,7 @@ static inline bool sort_encounter(lum_encounter *e, uint32_t k, diffuse_columns 
     return true;
 #else
     const bool is_metal = surface->kind == LUM_SURFACE_CONDUCTOR ||
-                       (surface->kind == LUM_SURFACE_PBR && !surface->layers_present && choose(&u, (double)surface->metallic));
+                          (surface->kind == LUM_SURFACE_PBR && !surface->layers_present && choose(&u, (double)surface->metallic));
     if (is_metal) {
         if (!plain || surface->alpha < LUM_SMOOTH || surface->material->has_eta) {
             return false;

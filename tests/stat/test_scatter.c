@@ -122,6 +122,57 @@ static void white_furnace(void **state)
     free_model(model);
 }
 
+/* What many encounters give together is what each gives alone, to the bit: in any company, polarized or not, at the extremes too. */
+static void many_as_each(void **state)
+{
+    (void)state;
+    lum_model *model = all_materials(true);
+    lum_scene *scene = scene_of(model);
+    const double ends[] = {0, 0.25, 0.5, 1 - 0x1p-53};
+    static lum_encounter many[LUM_MAX_ENCOUNTERS];
+    static lum_polarization fields[2][LUM_MAX_ENCOUNTERS];
+    lum_rng rng = lum_rng_stream(31, 0);
+    int diffuse = 0, reflected = 0;
+    for (int batch = 0; batch < 4000; batch++) {
+        const size_t count = (size_t)batch % LUM_MAX_ENCOUNTERS + 1;
+        for (size_t i = 0; i < count; i++) {
+            lum_encounter *e = &many[i];
+            const uint32_t m = (uint32_t)(lum_rng_next(&rng) * model->material_count);
+            const double c = batch % 8 ? 2 * lum_rng_next(&rng) - 1 : i % 4 < 2 ? 1 - (double)(i % 4 * 2) : i % 4 == 2 ? 1e-13 : 0, r = sqrt((1 - c) * (1 + c));
+            const lmg_vec3 tilt = unit(v3(lum_rng_next(&rng) - 0.5, 2 * lum_rng_next(&rng) - 1, 0.5));
+            e->wi = v3(0.6 * r, -0.8 * r, c);
+            e->surface = surface_of(scene, 2 * m, v3(-e->wi.x, -e->wi.y, -e->wi.z), i % 3 ? &tilt : NULL);
+            e->eta_outside = i % 5 ? 1 : 1.33f;
+            for (int k = 0; k < 4; k++) {
+                e->xi[k] = batch % 10 ? lum_rng_next(&rng) : ends[(int)(lum_rng_next(&rng) * 4)];
+            }
+            lmg_vec3 across = unit(v3(0.8, 0.6, 0)); /* perpendicular to wi */
+            fields[0][i] = fields[1][i] = (lum_polarization){.re = across, .known = i % 7 == 0};
+            e->polarization = i % 2 ? &fields[0][i] : NULL;
+        }
+        lum_scatter_trace_many(count, many);
+        for (size_t i = 0; i < count; i++) {
+            const lum_encounter *e = &many[i];
+            lum_scattered o;
+            lum_scatter_trace(&e->surface, e->wi, e->eta_outside, e->xi, e->polarization ? &fields[1][i] : NULL, &o);
+            assert_memory_equal(&o.wo, &e->out.wo, sizeof o.wo);
+            assert_memory_equal(o.weight, e->out.weight, sizeof o.weight);
+            assert_int_equal(o.event, e->out.event);
+            assert_true(o.pdf == 0 && e->out.pdf == 0);
+            assert_true(fields[0][i].known == fields[1][i].known);
+            if (fields[0][i].known) {
+                assert_memory_equal(&fields[0][i].re, &fields[1][i].re, sizeof(lmg_vec3));
+                assert_memory_equal(&fields[0][i].im, &fields[1][i].im, sizeof(lmg_vec3));
+            }
+            diffuse += e->surface.kind == LUM_SURFACE_LAMBERT;
+            reflected += o.event == LUM_REFLECTED && e->surface.kind == LUM_SURFACE_CONDUCTOR;
+        }
+    }
+    assert_true(diffuse > 1000 && reflected > 1000); /* of 130,000 */
+    lum_scene_destroy(scene);
+    free_model(model);
+}
+
 /* Extremes of the numbers and of the incidence. */
 static void extremes(void **state)
 {
@@ -384,6 +435,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(statistics),
         cmocka_unit_test(white_furnace),
+        cmocka_unit_test(many_as_each),
         cmocka_unit_test(extremes),
         cmocka_unit_test(tables_are_accurate),
         cmocka_unit_test(mutants_are_rejected),
