@@ -64,10 +64,10 @@ bool lmg_tile_is_sound(const lmg_tiles *t, uint32_t slab, uint64_t tile_in_slab)
     const lmg_slab_data *data = &t->field->slabs[slab];
     const uint64_t cells = lmg_tile_cells(&t->layout->slabs[slab]), first = tile_in_slab * cells, channels = t->layout->channels;
     bool sound = true;
-    for (uint64_t i = first * channels; i < (first + cells) * channels; i++) {
-        sound &= isfinite(data->radiance[i]) != 0;
-    }
     for (uint64_t i = first; i < first + cells; i++) {
+        for (uint64_t c = 0; c < channels; c++) {
+            sound &= isfinite(lmg_cell_radiance(data, i)[c]) != 0;
+        }
         sound &= isfinite(data->standard_error[i]) && data->standard_error[i] >= 0 && isfinite(data->half_a[i]);
     }
     return sound;

@@ -5,8 +5,8 @@
 
 #include "box_content.h"
 
-/* The hash of one tile's cells. */
-uint64_t lmg_hash_tile(const lmg_tiles *t, uint32_t slab, uint64_t tile_in_slab);
+/* Puts the hashes of the tiles [first, after) into t->hashes. */
+void lmg_hash_tiles(const lmg_tiles *t, uint64_t first, uint64_t after);
 
 /* The same of rounded cells: of the tile's bytes before packing. */
 uint64_t lmg_hash_codes(const void *codes, uint64_t count);

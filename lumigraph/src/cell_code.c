@@ -93,15 +93,15 @@ bool lmg_decode_line(const unsigned char *line, uint32_t n, uint32_t channels, c
         standard_error[i] = (float)(sqrt((double)from_half(weight) * photons) * scales[i]);
         half_a[i] = (float)(luminance * (1 + (double)from_half(difference)));
         if (channels == 1) {
-            radiance[i] = (float)luminance;
+            radiance[2 * i] = (float)luminance;
             continue;
         }
         const uint16_t by = code_at(line, i), ry = code_at(line, n + i);
         sound &= (ry & 0x7c00) != 0x7c00 && (by & 0x7c00) != 0x7c00;
         const double red = luminance * (1 + (double)from_half(ry)), blue = luminance * (1 + (double)from_half(by));
-        radiance[3 * i] = (float)red;
-        radiance[3 * i + 1] = (float)((luminance - RED * red - BLUE * blue) / GREEN);
-        radiance[3 * i + 2] = (float)blue;
+        radiance[4 * i] = (float)red;
+        radiance[4 * i + 1] = (float)((luminance - RED * red - BLUE * blue) / GREEN);
+        radiance[4 * i + 2] = (float)blue;
     }
     return sound;
 }
@@ -159,7 +159,7 @@ static double encode_cell(encoder *e, uint32_t j, uint64_t cell, double scale, d
     }
     for (int c = 0; coloured && c < 2; c++) { /* blue, red; with what was handed on luminance and colour belong together */
         double *carried = c ? &rest->red : &rest->blue;
-        const double component = (double)data->radiance[3 * cell + (c ? 0 : 2)] + weight * *carried;
+        const double component = (double)lmg_cell_radiance(data, cell)[c ? 0 : 2] + weight * *carried;
         if (*code) {
             const double chroma = component / wanted - 1,
                          fine = step_of(e->loss, noise / y * d_max(fabs(1 + chroma), LEAST_COMPONENT));
@@ -185,7 +185,7 @@ static bool is_possible(const lmg_field *field, uint32_t j, uint64_t cell, doubl
     const lmg_slab_data *data = &field->slabs[j];
     bool dark = data->standard_error[cell] == 0 && data->half_a[cell] == 0;
     for (uint32_t c = 0; c < field->layout.channels; c++)
-        dark = dark && data->radiance[field->layout.channels * cell + c] == 0;
+        dark = dark && lmg_cell_radiance(data, cell)[c] == 0;
     return y > 0 || (y == 0 && dark);
 }
 

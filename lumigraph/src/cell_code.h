@@ -28,7 +28,8 @@ void lmg_codes_destroy(lmg_codes *codes);
  * slopes, which have etendues in proportion to the inverse of that; the unit in others.  Owned by the caller; NULL: no memory. */
 double *lmg_code_scales(const lmg_slab *slab, double unit);
 
-/* Decodes one line of a tile as it lies in a file, n cells; scales: of its first cell on.  False when a code can't be. */
+/* Decodes one line of a tile as it lies in a file, n cells; scales: of its first cell on; radiance: channels + 1 floats apart, as in
+ * lmg_slab_data.  False when a code can't be. */
 bool lmg_decode_line(const unsigned char *line, uint32_t n, uint32_t channels, const double *scales, float *radiance,
                      float *standard_error, float *half_a);
 

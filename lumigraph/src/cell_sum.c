@@ -42,9 +42,8 @@ static bool resize(lmg_cell_sum *sum, size_t room)
 
 bool lmg_cell_sum_add(lmg_cell_sum *sum, const lmg_field *field, uint32_t j, const lmg_place *place, double weight)
 {
-    const lmg_slopes *slopes = &field->sampler->slopes[j];
-    const float *rgb = slopes->rgb ? slopes->rgb[place->cell].rgb : NULL;
-    if (rgb ? rgb[0] == 0 && rgb[1] == 0 && rgb[2] == 0 : slopes->y[place->cell].y == 0)
+    const float *r = lmg_cell_radiance(&field->slabs[j], place->cell);
+    if (r[0] == 0 && (field->layout.channels == 1 || (r[1] == 0 && r[2] == 0)))
         return true;
     if (2 * (sum->count + 1) > sum->room && !resize(sum, sum->room ? 2 * sum->room : 256))
         return false;
@@ -54,7 +53,7 @@ bool lmg_cell_sum_add(lmg_cell_sum *sum, const lmg_field *field, uint32_t j, con
         sum->used[sum->count++] = (uint32_t)(s - sum->table);
     }
     s->weight += weight;
-    s->shaped += weight * (double)lmg_shape(slopes, place);
+    s->shaped += weight * (double)lmg_shape(&field->sampler->slopes[j], lmg_cell_slopes(&field->slabs[j], place->cell), place);
     for (int k = 0; k < 4; k++)
         s->moment[k] += weight * (double)place->x[k];
     return true;
@@ -69,7 +68,7 @@ static double variance_of(const lmg_field *field, uint32_t j, const lmg_cell_sha
     const lmg_slab *slab = &field->layout.slabs[j];
     const float *se = field->slabs[j].standard_error;
     const uint64_t cell = s->key - 1, st = (uint64_t)slab->ns * slab->nt;
-    const int8_t *g = lmg_slope(&field->sampler->slopes[j], cell);
+    const int8_t *g = lmg_cell_slopes(&field->slabs[j], cell);
     const uint32_t n[4] = {slab->nu, slab->nv, slab->ns, slab->nt};
     const uint32_t i[4] = {(uint32_t)(cell / st % slab->nu), (uint32_t)(cell / st / slab->nu), (uint32_t)(cell % slab->ns), (uint32_t)(cell / slab->ns % slab->nt)};
     const int64_t step[4] = {(int64_t)st, (int64_t)st * slab->nu, 1, slab->ns};

@@ -81,10 +81,24 @@ static bool read_rounded(const reader *r, uint32_t slab, uint64_t first, const u
     const uint32_t channels = r->layout.channels;
     bool sound = true;
     for (uint32_t it = 0; it < s->nt; it++, first += s->ns, from += (size_t)s->ns * (channels + 2) * sizeof(uint16_t)) {
-        sound &= lmg_decode_line(from, s->ns, channels, r->scales[slab] + (size_t)it * s->ns, data->radiance + first * channels,
+        sound &= lmg_decode_line(from, s->ns, channels, r->scales[slab] + (size_t)it * s->ns, lmg_cell_radiance(data, first),
                                  data->standard_error + first, data->half_a + first);
     }
     return sound;
+}
+
+static bool is_dark(const unsigned char *bytes, size_t size)
+{
+    uint64_t any = 0, word;
+    size_t i = 0;
+    for (; any == 0 && i + sizeof word <= size; i += sizeof word) {
+        memcpy(&word, bytes + i, sizeof word);
+        any = word;
+    }
+    for (; i < size; i++) {
+        any |= bytes[i];
+    }
+    return any == 0;
 }
 
 static lmg_result read_tile(reader *r, decoder *d, uint32_t slab, uint64_t tile_in_slab, lmg_error *err)
@@ -110,20 +124,22 @@ static lmg_result read_tile(reader *r, decoder *d, uint32_t slab, uint64_t tile_
     if (exr != EXR_ERR_SUCCESS) {
         return lmg_exr_fail(err, LMG_ERROR_FILE_READ, &r->file, "damaged: a tile can't be decoded", exr);
     }
-    const bool rounded = r->scales[slab] != NULL, decoded = !rounded || read_rounded(r, slab, first, from);
-    const unsigned char *const codes = from;
+    const bool rounded = r->scales[slab] != NULL;
+    if (rounded) {
+        r->tiles.hashes[r->tiles.start[slab] + tile_in_slab] = lmg_hash_codes(from, cells * (channels + 2));
+    }
+    if (is_dark(from, (size_t)chunk.unpacked_size)) {
+        return LMG_OK; /* as the field is to begin with; its pages may stay untouched */
+    }
+    const bool decoded = !rounded || read_rounded(r, slab, first, from);
     /* a line of the tile holds its channels one after the other, sorted by name: B, G, R or Y, then half_a.Y, stderr.Y */
     const size_t line_bytes = s->ns * sizeof(float);
     for (uint32_t it = 0; !rounded && it < s->nt; it++) {
         const uint64_t line = first + (uint64_t)it * s->ns;
         for (uint32_t c = 0; c < channels; c++) {
-            if (channels == 1) {
-                memcpy(data->radiance + line, from, line_bytes);
-            } else {
-                float *to = data->radiance + 3 * line + (2 - c);
-                for (uint32_t is = 0; is < s->ns; is++) {
-                    memcpy(to + 3 * (size_t)is, from + is * sizeof(float), sizeof(float));
-                }
+            float *to = lmg_cell_radiance(data, line) + (channels - 1 - c);
+            for (uint32_t is = 0; is < s->ns; is++) {
+                memcpy(to + is * (size_t)data->stride, from + is * sizeof(float), sizeof(float));
             }
             from += line_bytes;
         }
@@ -136,8 +152,6 @@ static lmg_result read_tile(reader *r, decoder *d, uint32_t slab, uint64_t tile_
                         "%s: part %d, tile %d,%d holds a value that is no finite number, or a negative standard error",
                         r->file.where, part, column, row);
     }
-    r->tiles.hashes[r->tiles.start[slab] + tile_in_slab] =
-        rounded ? lmg_hash_codes(codes, cells * (channels + 2)) : lmg_hash_tile(&r->tiles, slab, tile_in_slab);
     return LMG_OK;
 }
 
@@ -148,6 +162,9 @@ static lmg_result read_run(void *self, uint64_t index, void *scratch, lmg_error 
     for (uint64_t tile = first; tile < after; tile++) {
         const uint32_t slab = lmg_tile_slab(&r->tiles, tile);
         LMG_TRY(read_tile(r, scratch, slab, tile - r->tiles.start[slab], err));
+    }
+    if (r->scales[0] == NULL) {
+        lmg_hash_tiles(&r->tiles, first, after);
     }
     return LMG_OK;
 }

@@ -110,8 +110,8 @@ static lmg_result pack_tile(writer *w, encoder *e, uint32_t slab, uint64_t tile_
             } else if (strcmp(info->channel_name, "stderr.Y") == 0) {
                 from = data->standard_error + first;
             } else { /* B, G, R; or Y */
-                step = channels;
-                from = data->radiance + first * channels + (channels == 3 ? 2 - c : 0);
+                step = data->stride;
+                from = lmg_cell_radiance(data, first) + (channels == 3 ? 2 - c : 0);
             }
             info->encode_from_ptr = (const uint8_t *)from;
             info->user_data_type = EXR_PIXEL_FLOAT;
@@ -168,9 +168,13 @@ static lmg_result hash_run(void *self, uint64_t index, void *scratch, lmg_error 
                             "%s: slab %u, cell u %u, v %u holds a value that is no finite number, or a negative standard error",
                             w->file.where, slab, (unsigned)(tile_in_slab % nu), (unsigned)(tile_in_slab / nu));
         }
-        const uint64_t cells = lmg_tile_cells(&w->field->layout.slabs[slab]), count = w->field->layout.channels + 2;
-        w->tiles.hashes[tile] = w->codes != NULL ? lmg_hash_codes(w->codes->of[slab] + tile_in_slab * cells * count, cells * count)
-                                                 : lmg_hash_tile(&w->tiles, slab, tile_in_slab);
+        if (w->codes != NULL) {
+            const uint64_t cells = lmg_tile_cells(&w->field->layout.slabs[slab]), count = w->field->layout.channels + 2;
+            w->tiles.hashes[tile] = lmg_hash_codes(w->codes->of[slab] + tile_in_slab * cells * count, cells * count);
+        }
+    }
+    if (w->codes == NULL) {
+        lmg_hash_tiles(&w->tiles, first, after);
     }
     return LMG_OK;
 }

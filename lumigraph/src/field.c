@@ -17,9 +17,10 @@ lmg_result lmg_field_allocate(const lmg_layout *layout, lmg_field **out, lmg_err
     for (uint32_t j = 0; j < layout->slab_count; j++) {
         lmg_slab_data *data = &field->slabs[j];
         data->cells = lmg_slab_cells(&layout->slabs[j]);
+        data->stride = layout->channels + 1;
         size_t one, all;
-        if (!lmg_size_product((size_t)data->cells, sizeof(float), &one) || !lmg_size_product(one, layout->channels, &all) ||
-            !(data->radiance = lmg_table_alloc(all)) || !(data->standard_error = lmg_table_alloc(one)) ||
+        if (!lmg_size_product((size_t)data->cells, sizeof(float), &one) || !lmg_size_product(one, data->stride, &all) ||
+            !(data->cell = lmg_table_alloc(all)) || !(data->standard_error = lmg_table_alloc(one)) ||
             !(data->half_a = lmg_table_alloc(one))) {
             lmg_fail(err, LMG_ERROR_MEMORY, "field: no memory for %.1f million cells", (double)data->cells * 1e-6);
             lmg_field_destroy(field);
@@ -37,7 +38,7 @@ void lmg_field_destroy(lmg_field *field)
     for (uint32_t j = 0; j < field->layout.slab_count; j++) {
         lmg_slab_data *data = &field->slabs[j];
         size_t one = (size_t)data->cells * sizeof(float);
-        lmg_table_free(data->radiance, one * field->layout.channels);
+        lmg_table_free(data->cell, one * data->stride);
         lmg_table_free(data->standard_error, one);
         lmg_table_free(data->half_a, one);
     }
@@ -67,7 +68,7 @@ size_t lmg_field_memory(const lmg_field *field)
 {
     size_t sum = sizeof *field + lmg_sampler_memory(field->sampler);
     for (uint32_t j = 0; j < field->layout.slab_count; j++)
-        sum += (size_t)field->slabs[j].cells * sizeof(float) * (field->layout.channels + 2);
+        sum += (size_t)field->slabs[j].cells * sizeof(float) * (field->slabs[j].stride + 2);
     for (size_t i = 0; i < field->text_count; i++)
         sum += sizeof field->texts[i] + strlen(field->texts[i].value) + 1;
     return sum;
@@ -166,9 +167,10 @@ lmg_result lmg_field_scale(lmg_field *field, double factor, lmg_error *err)
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "field: the factor %g must be positive", factor);
     for (uint32_t j = 0; j < field->layout.slab_count; j++) {
         lmg_slab_data *data = &field->slabs[j];
-        for (uint64_t i = 0; i < data->cells * field->layout.channels; i++)
-            data->radiance[i] = (float)((double)data->radiance[i] * factor);
         for (uint64_t i = 0; i < data->cells; i++) {
+            float *radiance = lmg_cell_radiance(data, i);
+            for (uint32_t c = 0; c < field->layout.channels; c++)
+                radiance[c] = (float)((double)radiance[c] * factor);
             data->standard_error[i] = (float)((double)data->standard_error[i] * factor);
             data->half_a[i] = (float)((double)data->half_a[i] * factor);
         }

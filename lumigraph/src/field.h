@@ -14,11 +14,25 @@ typedef struct lmg_text {
 /* Cells are ordered so that the (s,t) picture of one (u,v) cell lies together: index = ((iv * nu + iu) * nt + it) * ns + is. */
 typedef struct lmg_slab_data {
     uint64_t cells;
-    float *radiance;       /* channels per cell, cd/m2, interleaved; channels 1: luminance */
+    float *cell;           /* what a look-up reads of a cell, side by side so that it touches one line of the cache; see below */
+    uint32_t stride;       /* floats of a cell: channels + 1 */
     float *standard_error; /* of the luminance, cd/m2, one per cell */
     float *half_a;         /* luminance of half A alone, cd/m2, scaled as if A were the whole bake; half B = 2 x luminance - A */
     double flux, flux_se;  /* lumens; derived, recomputed on reading */
 } lmg_slab_data;
+
+/* Radiance of a cell, cd/m2: one number for each channel; with one channel luminance. */
+static inline float *lmg_cell_radiance(const lmg_slab_data *data, uint64_t cell)
+{
+    return data->cell + cell * data->stride;
+}
+
+/* After it, in place of a float, the slopes of radiance within the cell (slopes.h): gu, gv, gs, gt in units of 1/127; derived, not
+ * stored in files. */
+static inline int8_t *lmg_cell_slopes(const lmg_slab_data *data, uint64_t cell)
+{
+    return (int8_t *)(data->cell + cell * data->stride + data->stride - 1);
+}
 
 /* What sampling from a point and emission need, built after reconstruction or reading (sample.c); derived, not stored in files. */
 typedef struct lmg_sampler lmg_sampler;

@@ -49,8 +49,9 @@ static void put(lmg_field *field, uint32_t j, uint64_t cell, const cell_sum *s, 
 {
     lmg_slab_data *data = &field->slabs[j];
     const uint32_t channels = field->layout.channels;
+    float *radiance = lmg_cell_radiance(data, cell);
     for (uint32_t c = 0; c < channels; c++)
-        data->radiance[cell * channels + c] = (float)((double)data->radiance[cell * channels + c] + (s->a[c] + s->b[c]) / etendue);
+        radiance[c] = (float)((double)radiance[c] + (s->a[c] + s->b[c]) / etendue);
     data->standard_error[cell] = (float)hypot((double)data->standard_error[cell], sqrt(s->variance) / etendue);
     data->half_a[cell] = (float)((double)data->half_a[cell] + 2 * luminance(s->a, channels) / etendue);
 }

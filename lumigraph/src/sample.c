@@ -37,15 +37,22 @@ static void sum_slab(lmg_field *field, lmg_sampler *sampler, uint32_t j, double 
     const lmg_slab *slab = &field->layout.slabs[j];
     lmg_slab_data *data = &field->slabs[j];
     const lmg_etendue *e = &sampler->etendue[j];
+    const bool product =
+        e->per_area &&
+        (e->share || lmg_etendue_is_full(e)); /* what lmg_etendue_effective gives, without asking it for every cell */
     uint64_t cell = 0, row = sampler->first_row[j];
     double flux = 0, variance = 0;
     for (uint32_t iv = 0; iv < slab->nv; iv++)
-        for (uint32_t iu = 0; iu < slab->nu; iu++)
+        for (uint32_t iu = 0; iu < slab->nu; iu++) {
+            const lmg_cell_box c = lmg_cell_limits(slab, iu, iv, 0, 0);
+            const double area = (c.u1 - c.u0) * (c.v1 - c.v0);
+            const double *per_area = e->per_area;
             for (uint32_t it = 0; it < slab->nt; it++)
-                for (uint32_t is = 0; is < slab->ns; is++, cell++) {
+                for (uint32_t is = 0; is < slab->ns; is++, cell++, per_area += product) {
                     double l = lmg_cell_luminance(field, j, cell), se = (double)data->standard_error[cell];
                     if (l != 0 || se != 0) {
-                        double g = lmg_etendue_effective(e, iu, iv, is, it);
+                        double share = product && e->share ? (double)e->share[cell] : 1;
+                        double g = product && share >= 0 ? area * *per_area * share : lmg_etendue_effective(e, iu, iv, is, it);
                         flux += l * g;
                         variance += se * g * se * g;
                         *sum += l > 0 ? l * g : 0;
@@ -53,6 +60,7 @@ static void sum_slab(lmg_field *field, lmg_sampler *sampler, uint32_t j, double 
                     if ((is + 1) % sampler->row_length[j] == 0)
                         sampler->rows[row++] = *sum;
                 }
+        }
     data->flux = flux;
     data->flux_se = sqrt(variance);
 }
@@ -124,9 +132,8 @@ static double next_number(uint64_t *state)
  * uniform, 1 + g.x at x and at -x add up to 2: the place is kept or reflected at the middle, and none is lost.  (s,t) of cube slabs: false
  * where the place is rejected.
  */
-static bool tilt(const lmg_slopes *slopes, uint64_t cell, uint32_t st, double within[4], uint64_t *state)
+static bool tilt(const lmg_slopes *slopes, const int8_t g[4], uint32_t st, double within[4], uint64_t *state)
 {
-    const int8_t *g = lmg_slope(slopes, cell);
     for (int k = 0; k < 4; k += 2) {
         if (g[k] == 0 && g[k + 1] == 0)
             continue;
@@ -209,7 +216,8 @@ bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
         double uvst[4], own[4], within[4];
         for (int k = 0; k < 4; k++)
             within[k] = tries ? next_number(&state) : xi[k + 1];
-        if (!tilt(slopes, cell, (uint32_t)(cell % ((uint64_t)slab->ns * slab->nt)), within, &state))
+        if (!tilt(slopes, lmg_cell_slopes(&field->slabs[j], cell), (uint32_t)(cell % ((uint64_t)slab->ns * slab->nt)), within,
+                  &state))
             continue;
         for (int k = 0; k < 4; k++)
             uvst[k] = low[k] + ((double)i[k] + within[k]) / scale[k];

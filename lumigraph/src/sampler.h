@@ -53,14 +53,14 @@ struct lmg_sampler {
 /* Luminance of a cell. */
 static inline double lmg_cell_luminance(const lmg_field *field, uint32_t j, uint64_t cell)
 {
-    const float *r = field->slabs[j].radiance;
-    return field->layout.channels == 1 ? (double)r[cell] : lmg_luminance(&r[3 * cell]);
+    const float *r = lmg_cell_radiance(&field->slabs[j], cell);
+    return field->layout.channels == 1 ? (double)r[0] : lmg_luminance(r);
 }
 
 static inline void lmg_place_prefetch(const lmg_field *field, uint32_t j, const lmg_place *place)
 {
 #if defined(__GNUC__)
-    __builtin_prefetch(lmg_slope(&field->sampler->slopes[j], place->cell));
+    __builtin_prefetch(lmg_cell_radiance(&field->slabs[j], place->cell));
 #else
     (void)field, (void)j, (void)place;
 #endif
@@ -69,18 +69,18 @@ static inline void lmg_place_prefetch(const lmg_field *field, uint32_t j, const 
 /* R,G,B of a cell: its mean. */
 static inline void lmg_cell_mean(const lmg_field *field, uint32_t j, uint64_t cell, float rgb[3])
 {
-    const float *r = field->slabs[j].radiance;
+    const float *r = lmg_cell_radiance(&field->slabs[j], cell);
     for (int c = 0; c < 3; c++)
-        rgb[c] = field->layout.channels == 1 ? r[cell] * field->layout.colour[c] : r[3 * cell + (uint64_t)c];
+        rgb[c] = field->layout.channels == 1 ? r[0] * field->layout.colour[c] : r[c];
 }
 
 /* R,G,B at a place of slab j. */
 static inline void lmg_place_rgb(const lmg_field *field, uint32_t j, const lmg_place *place, float rgb[3])
 {
-    const lmg_slopes *slopes = &field->sampler->slopes[j];
-    float shape = lmg_shape(slopes, place);
+    float shape = lmg_shape(&field->sampler->slopes[j], lmg_cell_slopes(&field->slabs[j], place->cell), place);
+    lmg_cell_mean(field, j, place->cell, rgb);
     for (int c = 0; c < 3; c++)
-        rgb[c] = shape * (slopes->rgb ? slopes->rgb[place->cell].rgb[c] : slopes->y[place->cell].y * field->layout.colour[c]);
+        rgb[c] *= shape;
 }
 
 /* ask.c: lmg_field_illuminance; everywhere: also where no light can be, which must give the same. */

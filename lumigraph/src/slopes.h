@@ -20,35 +20,16 @@
 
 #include <string.h>
 
-/* What is read of one cell: its radiance and slopes side by side, so that a look-up touches one line of the cache. */
-typedef struct lmg_cell_rgb {
-    float rgb[3];
-    int8_t slope[4]; /* gu, gv, gs, gt in units of 1/127 */
-} lmg_cell_rgb;
-
-typedef struct lmg_cell_y {
-    float y;
-    int8_t slope[4];
-} lmg_cell_y;
-
-/* Of one slab. */
+/* Of one slab; the slopes themselves are in its cells. */
 typedef struct lmg_slopes {
-    lmg_cell_rgb *rgb; /* with three channels */
-    lmg_cell_y *y;     /* with one */
-    size_t bytes;
-    uint16_t (*lit)[4];   /* for each (u,v) cell the (s,t) cells that carry light are within: first and last is, first and last it; first > last: none */
+    uint16_t (*lit)[4];   /* for each (u,v) cell the (s,t) cells that carry light are within: first and last is, first and last it;
+                             first > last: none */
     float (*centroid)[2]; /* of each (s,t) cell, index it * ns + is, in its own [-1,1]; NULL: (0,0) */
 } lmg_slopes;
 
-/* Slopes of a cell. */
-static inline const int8_t *lmg_slope(const lmg_slopes *slopes, uint64_t cell)
-{
-    return slopes->rgb ? slopes->rgb[cell].slope : slopes->y[cell].slope;
-}
-
-/* Fills the table of slab e->index of a field whose cells are final, e's shares being known.  Cells stay constant that aren't wholly the slab's own,
- * whose own part has another mean, and so do all cells of slabs with a second plane at a finite distance. */
-lmg_result lmg_slopes_create(lmg_slopes *slopes, const lmg_field *field, const lmg_etendue *e, lmg_error *err);
+/* Finds the slopes of slab e->index of a field whose cells are final, e's shares being known.  Cells stay constant that aren't
+ * wholly the slab's own, whose own part has another mean, and so do all cells of slabs with a second plane at a finite distance. */
+lmg_result lmg_slopes_create(lmg_slopes *slopes, lmg_field *field, const lmg_etendue *e, lmg_error *err);
 void lmg_slopes_destroy(lmg_slopes *slopes);
 size_t lmg_slopes_memory(const lmg_slopes *slopes, const lmg_slab *slab);
 
@@ -99,11 +80,10 @@ static inline lmg_place lmg_plan_place(const lmg_plan *plan, int j, const double
     return p;
 }
 
-/* Radiance at a place over the mean of its cell: positive, at most 4. */
-static inline float lmg_shape(const lmg_slopes *slopes, const lmg_place *p)
+/* Radiance at a place over the mean of its cell, whose slopes are g: positive, at most 4. */
+static inline float lmg_shape(const lmg_slopes *slopes, const int8_t g[4], const lmg_place *p)
 {
     static const float UNIT = 1.0F / 127;
-    const int8_t *g = lmg_slope(slopes, p->cell);
     float x[4] = {p->x[0], p->x[1], p->x[2], p->x[3]};
     if (slopes->centroid) {
         x[2] -= slopes->centroid[p->st][0];

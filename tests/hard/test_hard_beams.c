@@ -48,7 +48,7 @@ static size_t cells_with_light(const lmg_field *f)
     size_t n = 0;
     for (uint32_t j = 0; j < f->layout.slab_count; ++j)
         for (uint64_t c = 0; c < f->slabs[j].cells; ++c)
-            n += f->slabs[j].radiance[f->layout.channels * c] != 0;
+            n += *lmg_cell_radiance(&f->slabs[j], c) != 0;
     return n;
 }
 

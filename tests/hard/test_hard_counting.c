@@ -117,7 +117,7 @@ static void test_weights(void **state)
     lmg_ledger ledger = {.photons = 13 * EACH};
     assert_int_equal(lmg_field_reconstruct(acc, 1, &ledger, &f, NULL), LMG_OK);
     for (uint32_t k = 0; k < 13; ++k) {
-        const double flux = (double)f->slabs[0].radiance[k] * lmg_slab_cell_etendue(&y.slabs[0], k, 0, 0, 0);
+        const double flux = (double)*lmg_cell_radiance(&f->slabs[0], k) * lmg_slab_cell_etendue(&y.slabs[0], k, 0, 0, 0);
         const double w = (double)(float)pow(10, (int)k - 6), all = EACH * w;
         /* rounding to 2^-20 is by chance, with the variance of a uniform step at most a quarter of its square each */
         const double error = hypot(sqrt(0.25 * EACH) * 0x1p-20 / all, FLT_EPSILON);
@@ -215,8 +215,9 @@ static void test_filament(void **state)
     bool finite = true;
     for (uint32_t j = 0; j < back->layout.slab_count; ++j) {
         for (uint64_t c = 0; c < back->slabs[j].cells * back->layout.channels; ++c) {
-            finite = finite && isfinite(back->slabs[j].radiance[c]);
-            peak = fmax(peak, (double)back->slabs[j].radiance[c]);
+            const double value = (double)lmg_cell_radiance(&back->slabs[j], c / back->layout.channels)[c % back->layout.channels];
+            finite = finite && isfinite(value);
+            peak = fmax(peak, value);
         }
         flux += lmg_field_slab_flux(back, j, NULL);
     }

@@ -122,7 +122,7 @@ static double moved_light(const lmg_field *a, const lmg_field *b, double scale)
                 for (uint32_t it = 0; it < s->nt; ++it)
                     for (uint32_t is = 0; is < s->ns; ++is, ++cell) {
                         const uint32_t c = a->layout.channels;
-                        const float *x = a->slabs[j].radiance + c * cell, *y = b->slabs[j].radiance + c * cell;
+                        const float *x = lmg_cell_radiance(&a->slabs[j], cell), *y = lmg_cell_radiance(&b->slabs[j], cell);
                         const double la = c == 1 ? (double)x[0] : lmg_luminance(x), lb = c == 1 ? (double)y[0] : lmg_luminance(y);
                         if (la == 0 && lb == 0)
                             continue;

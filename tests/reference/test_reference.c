@@ -63,7 +63,9 @@ static void compare(const lmg_field *field, const box *b)
         assert_true(t->s[0] == s->s0 && t->s[1] == s->s1 && t->t[0] == s->t0 && t->t[1] == s->t1);
         assert_true(t->nu == s->nu && t->nv == s->nv && t->ns == s->ns && t->nt == s->nt);
         const lmg_slab_data *d = &field->slabs[i];
-        assert_floats(t->radiance, d->radiance, d->cells * l->channels, "radiance");
+        for (uint64_t cell = 0; cell < d->cells; cell++) {
+            assert_floats(t->radiance + cell * l->channels, lmg_cell_radiance(d, cell), l->channels, "radiance");
+        }
         assert_floats(t->standard_error, d->standard_error, d->cells, "standard error");
         assert_floats(t->half_a, d->half_a, d->cells, "half A");
     }
@@ -254,7 +256,7 @@ static void test_vector(void **state)
     lmg_field *field = NULL;
     assert_int_equal(lmg_field_allocate(&l, &field, NULL), LMG_OK);
     for (int i = 0; i < 12; i++) {
-        field->slabs[0].radiance[i] = (float)i;
+        *lmg_cell_radiance(&field->slabs[0], (uint64_t)i) = (float)i;
         field->slabs[0].standard_error[i] = 0.5f;
         field->slabs[0].half_a[i] = (float)(12 - i);
     }

@@ -139,7 +139,7 @@ static void test_dark_field(void **in)
     lmg_field *field = fixture_field(2, true, 3, 5);
     for (uint32_t i = 0; i < 2; i++) {
         lmg_slab_data *d = &field->slabs[i];
-        memset(d->radiance, 0, d->cells * 3 * sizeof(float));
+        memset(d->cell, 0, d->cells * d->stride * sizeof(float));
         memset(d->standard_error, 0, d->cells * sizeof(float));
         memset(d->half_a, 0, d->cells * sizeof(float));
     }
@@ -547,7 +547,7 @@ static void test_cells_not_numbers(void **in)
     lmg_field *field = fixture_field(2, false, 3, 17);
     for (int i = 0; i < 8; i++) {
         lmg_slab_data *d = &field->slabs[1];
-        float *cell = i < 3 ? &d->radiance[44] : i < 6 ? &d->half_a[13] : &d->standard_error[13];
+        float *cell = i < 3 ? &lmg_cell_radiance(d, 14)[2] : i < 6 ? &d->half_a[13] : &d->standard_error[13];
         const float keep = *cell;
         *cell = i < 6 ? bad[i % 3] : i == 6 ? -1.0f : NAN;
         lmg_error error = {.message = ""};

@@ -80,8 +80,8 @@ static void check_cells(const lmg_field *field, const lmg_field *back, double lo
                                                                 2.5 * loss * fabs((double)was->half_a[k] / y - 1) * noise +
                                                                 1e-6 * y);
             for (uint32_t c = 0; c < field->layout.channels; c++) {
-                const double x = (double)was->radiance[k * field->layout.channels + c];
-                assert_true(fabs((double)is->radiance[k * field->layout.channels + c] - x) <=
+                const double x = (double)lmg_cell_radiance(was, k)[c];
+                assert_true(fabs((double)lmg_cell_radiance(is, k)[c] - x) <=
                             6 * 2.45 * loss * noise * fmax(x / y, 0.125));
             }
             squares += (now - y) * (now - y) / (noise * noise);
@@ -139,7 +139,7 @@ static void test_no_bias(void **state)
         const double photons = k % 7 < 3 ? 0 : k % 7 < 6 ? 1 : 2;
         /* each cell has a sum of squares of its own, so that no common unit fits */
         const double spread = 1 + 0.7 * (double)(k % 5);
-        d->radiance[k] = (float)(11.3 * photons);
+        *lmg_cell_radiance(d, k) = (float)(11.3 * photons);
         d->standard_error[k] = (float)(11.3 * sqrt(photons * spread));
         d->half_a[k] = (float)(k % 2 ? 0 : 22.6 * photons);
     }
@@ -150,9 +150,9 @@ static void test_no_bias(void **state)
     for (uint64_t k = 0; k < d->cells; k += row) {
         double was = 0, is = 0;
         for (uint64_t i = k; i < k + row; i++) {
-            was += (double)d->radiance[i];
-            is += (double)back->slabs[0].radiance[i];
-            changed += fabs((double)d->radiance[i] - (double)back->slabs[0].radiance[i]) / 11.3;
+            was += (double)*lmg_cell_radiance(d, i);
+            is += (double)*lmg_cell_radiance(&back->slabs[0], i);
+            changed += fabs((double)*lmg_cell_radiance(d, i) - (double)*lmg_cell_radiance(&back->slabs[0], i)) / 11.3;
         }
         /* at most a quarter of a photon is handed on in each of the few classes, whose cells differ in etendue by up to 9 */
         assert_true(fabs(is - was) < 11.3 * 9);
@@ -169,13 +169,13 @@ static void test_impossible(void **state)
         lmg_field *field = fixture_photon_field(1, 3, 2, 5, 4, 1, 3);
         lmg_slab_data *d = &field->slabs[0];
         if (i == 0)
-            d->radiance[40] = -1; /* no light */
+            *lmg_cell_radiance(d, 40) = -1; /* no light */
         else if (i == 1)
-            d->radiance[40] = 0, d->standard_error[40] = 1; /* nothing known of where nothing is seen */
+            *lmg_cell_radiance(d, 40) = 0, d->standard_error[40] = 1; /* nothing known of where nothing is seen */
         else
             for (uint64_t k = 1; k < d->cells; k++) /* too many decades */
-                d->radiance[k] = d->radiance[k - 1] > 0 ? d->radiance[k - 1] * 0.7F : 1e20F,
-                d->standard_error[k] = 1e-3F * d->radiance[k], d->half_a[k] = d->radiance[k];
+                *lmg_cell_radiance(d, k) = *lmg_cell_radiance(d, k - 1) > 0 ? *lmg_cell_radiance(d, k - 1) * 0.7F : 1e20F,
+                d->standard_error[k] = 1e-3F * *lmg_cell_radiance(d, k), d->half_a[k] = *lmg_cell_radiance(d, k);
         assert_int_equal(lmg_field_prepare(field, NULL), LMG_OK);
         lmg_rounding lost = {1, 1};
         lmg_field *back = written_and_read(field, f->path, 0.1, &lost);
