@@ -209,6 +209,24 @@ static lmg_result measure_noise(bake *b, const lmg_layout *layout, lmg_error *er
     return LMG_OK;
 }
 
+/* What the cells smooth, seen by the pilot's rays; a resumed bake traces them once more. */
+static lmg_result measure_bias(bake *b, const lmg_field *field, lmg_error *err)
+{
+    const uint64_t wanted = b->part->pilot_photons;
+    lmg_result result = LMG_OK;
+    if (!b->pilot) {
+        result = bake_ray_list_create(wanted + 1024, &b->pilot, err);
+        if (result != LMG_OK)
+            return result;
+        const lmg_sink sink = bake_ray_list_sink(b->pilot);
+        bake_tally tally = {0};
+        result = b->tracer->run(b->tracer, BAKE_PILOT_FIRST, wanted, b->options->threads, &sink, 1, &tally, err);
+    }
+    size_t count;
+    const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
+    return result == LMG_OK ? bake_bias_measure(field, rays, count, &b->report->bias, err) : result;
+}
+
 /* Numbers of the photons to trace: first .. end-1. */
 static uint64_t end_of(const bake_options *o)
 {
@@ -485,6 +503,8 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     r->lumens_per_photon = r->flux_lm / (double)part->tally.photons;
     if (result == LMG_OK)
         result = bake_part_field(part, out, err);
+    if (result == LMG_OK)
+        result = measure_bias(b, *out, err);
     r->reconstruct_seconds = bake_clock() - reconstruct_began;
     return result;
 }

@@ -6,6 +6,7 @@
 #ifndef BAKER_BAKE_H
 #define BAKER_BAKE_H
 
+#include "bias.h"
 #include "plan.h"
 #include "source.h"
 
@@ -59,6 +60,7 @@ typedef struct bake_report {
     uint64_t refused; /* rays that the accumulator refused; counted as lost in the ledger */
     double plan_seconds, pilot_seconds, trace_seconds, reconstruct_seconds;
     double noise;     /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */
+    bake_bias bias;   /* what the cells smooth, as the pilot's rays see it */
     bake_plan plan;   /* of effects; plan.simulated are those of the box */
     char layout_why[1024];
     bool interrupted;

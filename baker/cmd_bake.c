@@ -318,6 +318,22 @@ static json_t *json_flux(double lumens, double error)
     return json_pack("{s:o, s:o}", "lm", json_number(lumens), "standard_error", json_number(error));
 }
 
+static json_t *json_error(const bake_bias_error *e)
+{
+    return json_pack("{s:o, s:o}", "rms", json_number(e->rms), "standard_error", json_number(e->standard_error));
+}
+
+static json_t *json_bias(const bake_bias *bias)
+{
+    json_t *planes = json_array();
+    for (int i = 0; i < BIAS_DISTANCES; ++i) {
+        json_t *plane = json_error(&bias->planes[i]);
+        json_object_set_new(plane, "sizes", json_real(BAKE_BIAS_DISTANCE[i]));
+        json_array_append_new(planes, plane);
+    }
+    return json_pack("{s:o, s:o}", "illuminance", planes, "far_field", json_error(&bias->far_field));
+}
+
 static json_t *summary_json(const command *c, const lmg_field *field, const bake_report *r, const lum_model *model,
                             const char *recipe, double seconds, uint64_t bytes)
 {
@@ -345,6 +361,7 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     json_object_set_new(o, "lost_inside_photons", json_real(r->tally.lost_inside));
     json_object_set_new(o, "efficiency", json_number((l.stored + l.residual) / l.emitted));
     json_object_set_new(o, "noise", json_number(r->noise));
+    json_object_set_new(o, "bias", json_bias(&r->bias));
     if (c->target.error > 0)
         json_object_set_new(o, "error", json_pack("{s:s, s:f, s:o, s:o, s:b, s:i}", "of", judge_measure_name(c->target.of), "asked",
                                                   c->target.error, "rms", json_number(c->reached.error.rms), "standard_error",
@@ -370,6 +387,16 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     return o;
 }
 
+/* Errors, or what is above their noise of them. */
+static void print_bias(const bake_bias *bias)
+{
+    fputs("  bias      of illuminance, by what the cells smooth, at", stdout);
+    for (int i = 0; i < BIAS_DISTANCES; ++i)
+        printf("%s %g sizes %.2g +- %.1g %%", i ? "," : "", BAKE_BIAS_DISTANCE[i], 100 * fmax(bias->planes[i].rms, 0),
+               100 * bias->planes[i].standard_error);
+    printf("; of the far field %.2g +- %.1g %%\n", 100 * fmax(bias->far_field.rms, 0), 100 * bias->far_field.standard_error);
+}
+
 static void print_summary(const command *c, const lmg_field *field, const bake_report *r, double seconds, uint64_t bytes)
 {
     const lmg_ledger l = lmg_field_ledger(field);
@@ -387,6 +414,7 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     }
     printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n",
            l.photons, r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
+    print_bias(&r->bias);
     if (c->target.error > 0)
         printf("  error     %.3g +- %.2g %% of %s, asked for %.3g %%; found in %u bakes\n", 100 * c->reached.error.rms,
                100 * c->reached.error.standard_error, judge_measure_name(c->target.of), 100 * c->target.error, c->reached.bakes);

@@ -153,6 +153,57 @@ static bool tilt(const lmg_slopes *slopes, const int8_t g[4], uint32_t st, doubl
     return true;
 }
 
+/* Draws a ray of a cell, distributed as the cell's light, by four numbers in [0,1).  It starts where it leaves the bounds. */
+static void draw_in_cell(const lmg_field *field, uint32_t j, uint64_t cell, const double xi[4], lmg_vec3 *origin, lmg_vec3 *direction)
+{
+    const lmg_sampler *sampler = field->sampler;
+    const lmg_slab *slab = &field->layout.slabs[j];
+    const lmg_etendue *e = &sampler->etendue[j];
+    const uint64_t i[4] = {cell / slab->ns / slab->nt % slab->nu, cell / slab->ns / slab->nt / slab->nu, cell % slab->ns,
+                           cell / slab->ns % slab->nt};
+    const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, *scale = sampler->plan.scale[j];
+    /*
+     * Within the cell uniformly in etendue, by rejection, and along the slopes of its radiance (see tilt).  Aperture slabs need no rejection;
+     * for cube slabs, 1/(1+p^2+q^2)^2 against its largest value in the cell accepts at least 43 % (a cell of all directions), the slopes in
+     * (s,t) at least half, and a cell shared with others, which has no slopes, at least 1 % (see reconstruct.c), so that 4096 tries fail
+     * with probability e^-17 at most and then keep their last candidate, whose flux isn't lost.
+     */
+    double nearest = 0;
+    if (slab->kind == LMG_SLAB_CUBE && isinf(slab->distance))
+        for (int k = 2; k < 4; k++) {
+            double a = low[k] + (double)i[k] / scale[k], b = low[k] + (double)(i[k] + 1) / scale[k];
+            double m = a > 0 ? a : b < 0 ? b : 0;
+            nearest += m * m;
+        }
+    uint64_t state = (uint64_t)(xi[0] * 0x1p53) * 0x9e3779b97f4a7c15u ^ (uint64_t)(xi[2] * 0x1p53);
+    bool full = lmg_etendue_is_full(e);
+    const lmg_slopes *slopes = &sampler->slopes[j];
+    lmg_vec3 x = {0}, d = {0};
+    for (int tries = 0; tries < 4096; tries++) {
+        double uvst[4], own[4], within[4];
+        for (int k = 0; k < 4; k++)
+            within[k] = tries ? next_number(&state) : xi[k];
+        if (!tilt(slopes, lmg_cell_slopes(&field->slabs[j], cell), (uint32_t)(cell % ((uint64_t)slab->ns * slab->nt)), within,
+                  &state))
+            continue;
+        for (int k = 0; k < 4; k++)
+            uvst[k] = low[k] + ((double)i[k] + within[k]) / scale[k];
+        lmg_slab_ray(slab, uvst, &x, &d);
+        if (slab->kind == LMG_SLAB_CUBE) {
+            double z = v_dot(d, slab->n), f = z * z * (1 + nearest);
+            if (fabs(v_dot(d, slab->a)) > z || fabs(v_dot(d, slab->b)) > z || next_number(&state) >= f * f)
+                continue;
+        }
+        double k0, k1;
+        if (full || (lmg_plan_owner(&sampler->plan, x, d, own) == (int)j &&
+                     lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, x, d, &k0, &k1)))
+            break;
+    }
+    double k0, k1;
+    *origin = lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, x, d, &k0, &k1) ? v_fma(x, k1, d) : x;
+    *direction = d;
+}
+
 bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
 {
     const lmg_sampler *sampler = field->sampler;
@@ -173,12 +224,11 @@ bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
     while (sampler->first_row[j + 1] <= lo)
         j++;
     const lmg_slab *slab = &field->layout.slabs[j];
-    const lmg_etendue *e = &sampler->etendue[j];
     uint64_t cell = (lo - sampler->first_row[j]) * sampler->row_length[j];
     if (sampler->row_length[j] > 1) {
         /* within the row by the cells' own fluxes; the last one with flux takes what rounding leaves over */
         double rest = want - (lo ? sampler->rows[lo - 1] : 0);
-        const double *per_area = &e->per_area[cell % ((uint64_t)slab->ns * slab->nt)];
+        const double *per_area = &sampler->etendue[j].per_area[cell % ((uint64_t)slab->ns * slab->nt)];
         double uv_area = (slab->u1 - slab->u0) / slab->nu * ((slab->v1 - slab->v0) / slab->nv);
         uint32_t chosen = 0;
         for (uint32_t k = 0; k < slab->ns; k++) {
@@ -192,55 +242,22 @@ bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
         }
         cell += chosen;
     }
-    const uint64_t i[4] = {cell / slab->ns / slab->nt % slab->nu, cell / slab->ns / slab->nt / slab->nu, cell % slab->ns,
-                           cell / slab->ns % slab->nt};
-    const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, *scale = sampler->plan.scale[j];
-    /*
-     * Within the cell uniformly in etendue, by rejection, and along the slopes of its radiance (see tilt).  Aperture slabs need no rejection;
-     * for cube slabs, 1/(1+p^2+q^2)^2 against its largest value in the cell accepts at least 43 % (a cell of all directions), the slopes in
-     * (s,t) at least half, and a cell shared with others, which has no slopes, at least 1 % (see reconstruct.c), so that 4096 tries fail
-     * with probability e^-17 at most and then keep their last candidate, whose flux isn't lost.
-     */
-    double nearest = 0;
-    if (slab->kind == LMG_SLAB_CUBE && isinf(slab->distance))
-        for (int k = 2; k < 4; k++) {
-            double a = low[k] + (double)i[k] / scale[k], b = low[k] + (double)(i[k] + 1) / scale[k];
-            double m = a > 0 ? a : b < 0 ? b : 0;
-            nearest += m * m;
-        }
-    uint64_t state = (uint64_t)(xi[1] * 0x1p53) * 0x9e3779b97f4a7c15u ^ (uint64_t)(xi[3] * 0x1p53);
-    bool full = lmg_etendue_is_full(e);
-    const lmg_slopes *slopes = &sampler->slopes[j];
-    lmg_vec3 x = {0}, d = {0};
-    for (int tries = 0; tries < 4096; tries++) {
-        double uvst[4], own[4], within[4];
-        for (int k = 0; k < 4; k++)
-            within[k] = tries ? next_number(&state) : xi[k + 1];
-        if (!tilt(slopes, lmg_cell_slopes(&field->slabs[j], cell), (uint32_t)(cell % ((uint64_t)slab->ns * slab->nt)), within,
-                  &state))
-            continue;
-        for (int k = 0; k < 4; k++)
-            uvst[k] = low[k] + ((double)i[k] + within[k]) / scale[k];
-        lmg_slab_ray(slab, uvst, &x, &d);
-        if (slab->kind == LMG_SLAB_CUBE) {
-            double z = v_dot(d, slab->n), f = z * z * (1 + nearest);
-            if (fabs(v_dot(d, slab->a)) > z || fabs(v_dot(d, slab->b)) > z || next_number(&state) >= f * f)
-                continue;
-        }
-        double k0, k1;
-        if (full || (lmg_plan_owner(&sampler->plan, x, d, own) == (int)j &&
-                     lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, x, d, &k0, &k1)))
-            break;
-    }
-    /* the ray starts where it leaves the bounds */
-    double k0, k1;
-    if (lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, x, d, &k0, &k1))
-        x = v_fma(x, k1, d);
     double y = lmg_cell_luminance(field, j, cell);
     float rgb[3];
     lmg_cell_mean(field, j, cell, rgb);
-    *out = (lmg_ray){.origin = x, .direction = d};
+    *out = (lmg_ray){0};
+    draw_in_cell(field, j, cell, xi + 1, &out->origin, &out->direction);
     for (int c = 0; c < 3; c++)
         out->flux[c] = (float)((double)rgb[c] / y);
+    return true;
+}
+
+bool lmg_field_redraw(const lmg_field *field, lmg_vec3 *origin, lmg_vec3 *direction, const double xi[4])
+{
+    double uvst[4];
+    const int j = lmg_plan_owner(&field->sampler->plan, *origin, *direction, uvst);
+    if (j < 0)
+        return false;
+    draw_in_cell(field, (uint32_t)j, lmg_plan_place(&field->sampler->plan, j, uvst).cell, xi, origin, direction);
     return true;
 }

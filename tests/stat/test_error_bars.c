@@ -13,6 +13,7 @@
 #include <cmocka.h>
 
 #include "bake.h"
+#include "judge.h"
 #include "part.h"
 
 #include <luminaires/model.h>
@@ -174,9 +175,41 @@ static void lens(void **state)
     error_bars("glass-lens");
 }
 
+/* What the cells smooth, as a bake tells it from its pilot, against a judge that looks at millions of rays of lamp and box: cells
+ * so few that noise of the box counts for little beside it. */
+static void bias(void **state)
+{
+    (void)state;
+    lmg_error err;
+    lum_model *model;
+    assert_int_equal(lum_model_load(LUMIBOX_BINARY_DIR "/models/paraboloid-spot/paraboloid-spot.gltf", NULL, &model, &err), LMG_OK);
+    const bake_options options = {.photons = 2000000, .pilot_photons = 400000, .seed = 5, .fit = {.cells = CELLS}};
+    bake_report report;
+    lmg_field *field;
+    judge *j;
+    judge_verdict verdict;
+    assert_int_equal(bake_run(model, &options, &field, &report, &err), LMG_OK);
+    assert_int_equal(judge_create(model, 5, 0, 0, &j, &err), LMG_OK);
+    assert_int_equal(judge_measure_lamp(j, 2000000, &err), LMG_OK);
+    assert_int_equal(judge_box(j, field, 2000000, &verdict, &err), LMG_OK);
+    bool good = true;
+    for (int k = 0; k <= BIAS_DISTANCES; ++k) {
+        const bake_bias_error told = k < BIAS_DISTANCES ? report.bias.planes[k] : report.bias.far_field;
+        const judge_error seen = k < BIAS_DISTANCES ? verdict.planes[k] : verdict.error[JUDGE_FAR];
+        printf("bias %.2f +- %.2f %%, seen %.2f +- %.2f %%\n", 100 * told.rms, 100 * told.standard_error, 100 * seen.rms,
+               100 * seen.standard_error);
+        /* 10 %: the noise of the box's own cells, which only the judge sees */
+        good = good && fabs(told.rms - seen.rms) < 3 * hypot(told.standard_error, seen.standard_error) + 0.1 * seen.rms;
+    }
+    assert_true(good && report.bias.far_field.rms > 10 * report.bias.far_field.standard_error);
+    judge_destroy(j);
+    lmg_field_destroy(field);
+    lum_model_destroy(model);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {cmocka_unit_test(spot), cmocka_unit_test(globe), cmocka_unit_test(panel),
-                                       cmocka_unit_test(lens)};
+                                       cmocka_unit_test(lens), cmocka_unit_test(bias)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -311,6 +311,11 @@ LMG_API bool lmg_field_enter(const lmg_field *field, lmg_vec3 origin, lmg_vec3 d
  * xi: five numbers in [0,1).  False only when the field holds no light. */
 LMG_API bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out);
 
+/* Puts another ray of the same cell in a ray's place, distributed as the cell's light is: what storing light in cells does to it, noise
+ * left out.  The change of any measurement over rays that the box hasn't seen is the box's bias.  xi: four numbers in [0,1).  False for
+ * a ray that no slab contains. */
+LMG_API bool lmg_field_redraw(const lmg_field *field, lmg_vec3 *origin, lmg_vec3 *direction, const double xi[4]);
+
 /* Illuminance (lx, as R,G,B) at a point outside the bounds on a surface with unit normal, by quadrature over the cells it sees, with
  * the standard error of the luminance that comes from the bake. */
 LMG_API lmg_result lmg_field_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, double rgb[3],
