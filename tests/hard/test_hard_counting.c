@@ -268,7 +268,7 @@ static void test_sun_in_a_file(void **state)
         double worst = 0;
         for (int c = 0; c < 2; ++c) {
             /* equal photons: an error of one over the root of their number */
-            worst = fmax(worst, fabs((double)lmg_cell_radiance(&back->slabs[0], 0)[c] / PAIRS[k][c] - 1));
+            worst = fmax(worst, fabs((double)*lmg_cell_radiance(&back->slabs[0], (uint64_t)c) / PAIRS[k][c] - 1));
             worst =
                 fmax(worst, fabs(sqrt(c == 0 ? (double)bright : 16) * (double)back->slabs[0].standard_error[c] / PAIRS[k][c] - 1));
         }
