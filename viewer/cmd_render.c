@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* lumiview render: options, passes, progress, files.  No physics. */
+#include "cmd_lux.h"
 #include "image_io.h"
 #include "lumiview.h"
 #include "render.h"
@@ -32,6 +33,9 @@ typedef struct settings {
     const char *recipe; /* of the room; NULL = the one beside it if there is one */
     placed *things;
     size_t thing_count;
+    lux_wish *meters;
+    size_t meter_count;
+    uint64_t paths;    /* of each meter */
     const char **sets; /* --set entries, in order, ... */
     size_t *set_thing; /* ... and what each belongs to: 0 the room, 1 the first of things ... */
     size_t set_count;
@@ -43,7 +47,7 @@ typedef struct settings {
     bool json, quiet, verbose;
 } settings;
 
-static const uint64_t DEFAULT_SAMPLES = 64;
+static const uint64_t DEFAULT_SAMPLES = 64, DEFAULT_PATHS = 200000;
 
 /* Vertical angle of a camera given by --eye without --fov, degrees. */
 static const double DEFAULT_FOV = 50;
@@ -72,6 +76,11 @@ static void print_help(void)
         "  --flux LM                  lumens that the sources of the last --light or --lamp emit (default: as baked or modelled)\n"
         "  -o FILE.exr                R,G,B in cd/m2 and stderr.Y, the standard error of the luminance\n"
         "  --png FILE.png             tone-mapped, sRGB\n"
+        "  --lux X,Y,Z,NX,NY,NZ       a virtual lux meter at a point on a surface with this normal, all light included: "
+        "illuminance with\n"
+        "                             the standard errors of the boxes' bakes and of the paths.  May be given several times; the\n"
+        "                             picture may be left out\n"
+        "  --paths N                  paths of each meter (default 200000)\n"
         "  --spp N                    samples per pixel (default 64, or as many as --time allows)\n"
         "  --time T                   stop before T is over: 60s, 5min, 1h\n"
         "  --size WxH                 pixels (default 960x540)\n"
@@ -96,6 +105,8 @@ static int read_options(int argc, char **argv, settings *s)
         SET,
         FLUX,
         PNG,
+        LUX,
+        PATHS,
         SPP,
         TIME,
         SIZE,
@@ -117,6 +128,8 @@ static int read_options(int argc, char **argv, settings *s)
                                             {"flux", required_argument, NULL, FLUX},
                                             {"output", required_argument, NULL, 'o'},
                                             {"png", required_argument, NULL, PNG},
+                                            {"lux", required_argument, NULL, LUX},
+                                            {"paths", required_argument, NULL, PATHS},
                                             {"spp", required_argument, NULL, SPP},
                                             {"time", required_argument, NULL, TIME},
                                             {"size", required_argument, NULL, SIZE},
@@ -133,11 +146,12 @@ static int read_options(int argc, char **argv, settings *s)
                                             {"verbose", no_argument, NULL, 'v'},
                                             {"help", no_argument, NULL, 'h'},
                                             {NULL, 0, NULL, 0}};
-    *s = (settings){.width = 960, .height = 540, .seed = 1, .max_depth = UINT32_MAX, .exposure = "auto"};
+    *s = (settings){.width = 960, .height = 540, .seed = 1, .max_depth = UINT32_MAX, .exposure = "auto", .paths = DEFAULT_PATHS};
     s->things = calloc((size_t)argc, sizeof *s->things);
     s->sets = calloc((size_t)argc, sizeof *s->sets);
     s->set_thing = calloc((size_t)argc, sizeof *s->set_thing);
-    if (!s->things || !s->sets || !s->set_thing) {
+    s->meters = calloc((size_t)argc, sizeof *s->meters);
+    if (!s->things || !s->meters || !s->sets || !s->set_thing) {
         say_error("out of memory");
         return EXIT_FAILED;
     }
@@ -183,6 +197,14 @@ static int read_options(int argc, char **argv, settings *s)
             break;
         case PNG:
             s->png = optarg;
+            break;
+        case LUX:
+            good = lux_parse(optarg, &s->meters[s->meter_count++]);
+            wanted = "X,Y,Z,NX,NY,NZ: a point in metres and a normal";
+            break;
+        case PATHS:
+            good = read_count(optarg, UINT64_C(1) << 40, &s->paths) && s->paths > 1;
+            wanted = "a whole number, at least 2";
             break;
         case SPP:
             good = read_count(optarg, UINT32_MAX / 2, &s->samples) && s->samples > 0;
@@ -251,8 +273,8 @@ static int read_options(int argc, char **argv, settings *s)
                               : say_usage("render", "one room at a time: what is \"%s\"?", argv[optind + 1]);
     }
     s->room = argv[optind];
-    if (!s->exr && !s->png) {
-        return say_usage("render", "where should the picture go? Use -o FILE.exr, --png FILE.png or both");
+    if (!s->exr && !s->png && !s->meter_count) {
+        return say_usage("render", "where should the picture go? Use -o FILE.exr, --png FILE.png or both (or measure with --lux)");
     }
     if ((s->eye != NULL) != (s->target != NULL) || (s->fov > 0 && !s->eye) || (s->camera && s->eye)) {
         return say_usage("render", "a camera is either --camera NAME, or --eye and --target (and --fov) together");
@@ -285,7 +307,8 @@ static void print_warnings(const lum_model *model)
 }
 
 /* The recipe of a model: a file, or the one beside the model, and what --set adds; thing: 0 the room, 1 the first of things. */
-static lmg_result make_recipe(const settings *s, const char *model, const char *path, size_t thing, lum_recipe **out, lmg_error *err)
+static lmg_result make_recipe(const settings *s, const char *model, const char *path, size_t thing, lum_recipe **out,
+                              lmg_error *err)
 {
     char beside[PATH_SIZE + 16];
     if (!path && recipe_beside(model, beside)) {
@@ -469,7 +492,7 @@ static char *command_line(int argc, char **argv)
     return text;
 }
 
-static void print_result(const settings *s, const view_render_state *state, double mid_grey, double connect)
+static void print_result(const settings *s, const view_render_state *state, double mid_grey, double connect, json_t *meters)
 {
     double rate = (double)state->rays / fmax(state->seconds, 1e-9);
     if (s->json) {
@@ -480,6 +503,10 @@ static void print_result(const settings *s, const view_render_state *state, doub
             state->mean, "mid_grey_cd_m2", mid_grey, "exposure_value", view_exposure_to_ev(mid_grey), "seed", (json_int_t)s->seed);
         if (o) {
             json_object_set_new(o, "noise", isfinite(state->noise) ? json_real(state->noise) : json_null());
+            json_object_set_new(o, "mean_standard_error_bake_cd_m2", json_real(state->mean_bake));
+            json_object_set_new(o, "mean_standard_error_render_cd_m2",
+                                isfinite(state->mean_render) ? json_real(state->mean_render) : json_null());
+            json_object_set(o, "meters", meters);
             json_object_set_new(o, "exr", s->exr ? json_string(s->exr) : json_null());
             json_object_set_new(o, "png", s->png ? json_string(s->png) : json_null());
             json_dumpf(o, stdout, JSON_INDENT(2) | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(9));
@@ -496,7 +523,11 @@ static void print_result(const settings *s, const view_render_state *state, doub
     if (isfinite(state->noise)) {
         printf(", noise %.2g %%", 100 * state->noise);
     }
-    printf("; mean %.4g cd/m2; mid-grey at %.4g cd/m2 (EV %.1f)\n", state->mean, mid_grey, view_exposure_to_ev(mid_grey));
+    printf("; mean %.4g cd/m2", state->mean);
+    if (isfinite(state->mean_render) && state->mean > 0) {
+        printf(" +- %.2g %% bake +- %.2g %% render", 100 * state->mean_bake / state->mean, 100 * state->mean_render / state->mean);
+    }
+    printf("; mid-grey at %.4g cd/m2 (EV %.1f)\n", mid_grey, view_exposure_to_ev(mid_grey));
     if (s->verbose) {
         fprintf(stderr, "%.3g rays, %.2f Mrays/s, %llu paths refused as not finite, paths from boxes for %.0f %% of the samples\n",
                 (double)state->rays, rate * 1e-6, (unsigned long long)state->refused, 100 * connect);
@@ -553,7 +584,7 @@ static lmg_result write_files(const settings *s, const view_render *render, cons
     return r;
 }
 
-static void warn_about_scene(const settings *s, const view_scene *scene, const view_camera *camera)
+static void warn_about_scene(const settings *s, const view_scene *scene)
 {
     if (s->quiet) {
         return;
@@ -564,12 +595,17 @@ static void warn_about_scene(const settings *s, const view_scene *scene, const v
     for (uint32_t i = 0; i < scene->object_count; i++) {
         const view_object *object = &scene->objects[i];
         if (object->unseen) {
-            fprintf(stderr, "warning: %s: light of \"%.60s\", which has no size, by way of mirrors and clear glass isn't in the picture; "
-                            "bake the lamp and use its box, or make an emitter of a surface\n",
+            fprintf(stderr,
+                    "warning: %s: light of \"%.60s\", which has no size, by way of mirrors and clear glass isn't in the picture; "
+                    "bake the lamp and use its box, or make an emitter of a surface\n",
                     object->model->path, object->unseen);
         }
     }
-    for (uint32_t i = 0; i < scene->box_count; i++) {
+}
+
+static void warn_about_eye(const settings *s, const view_scene *scene, const view_camera *camera)
+{
+    for (uint32_t i = 0; i < scene->box_count && !s->quiet; i++) {
         if (view_box_inside(&scene->boxes[i], camera->eye)) {
             fprintf(stderr, "warning: %s: the camera is inside the bounds of this box and sees none of its light from there\n",
                     scene->boxes[i].path);
@@ -577,52 +613,78 @@ static void warn_about_scene(const settings *s, const view_scene *scene, const v
     }
 }
 
-static int render_scene(const settings *s, int argc, char **argv)
+/* The picture, from camera to files. */
+static lmg_result make_picture(const settings *s, const view_scene *scene, const char *command, json_t *meters, lmg_error *err)
 {
-    lmg_error err;
-    view_scene *scene = NULL;
     view_render *render = NULL;
     view_camera camera;
     double mid_grey = 0;
-    char *command = command_line(argc, argv);
-    lmg_result r = read_exposure(s->exposure, &mid_grey, &err);
-    r = r ? r : check_place(s->exr, &err);
-    r = r ? r : check_place(s->png, &err);
-    r = r ? r : load(s, &scene, &err);
-    r = r ? r : choose_camera(s, scene, &camera, &err);
+    lmg_result r = read_exposure(s->exposure, &mid_grey, err);
+    r = r ? r : choose_camera(s, scene, &camera, err);
     if (r == LMG_OK) {
-        warn_about_scene(s, scene, &camera);
+        warn_about_eye(s, scene, &camera);
         view_render_options options = {.width = s->width,
                                        .height = s->height,
                                        .seed = s->seed,
                                        .threads = (unsigned)s->threads,
                                        .path = {.max_depth = (uint32_t)s->max_depth}};
-        r = view_render_create(scene, &camera, &options, &render, &err);
+        r = view_render_create(scene, &camera, &options, &render, err);
     }
     if (r == LMG_OK) {
         struct sigaction action = {.sa_handler = on_interrupt};
         action.sa_flags = (int)SA_RESETHAND; /* a second Ctrl-C ends the program at once */
         sigaction(SIGINT, &action, NULL);
         sigaction(SIGTERM, &action, NULL);
-        r = run_passes(s, render, &err);
+        r = run_passes(s, render, err);
     }
-    int code = EXIT_DONE;
     if (r == LMG_OK) {
         view_render_state state = view_render_look(render);
-        r = write_files(s, render, &state, &mid_grey, command, &err);
+        r = write_files(s, render, &state, &mid_grey, command, err);
         if (r == LMG_OK) {
-            print_result(s, &state, mid_grey, scene->connect);
+            print_result(s, &state, mid_grey, scene->connect, meters);
             if (state.refused && !s->quiet) {
                 fprintf(stderr, "warning: %llu paths gave no finite number and count as dark\n", (unsigned long long)state.refused);
             }
         }
     }
+    view_render_destroy(render);
+    return r;
+}
+
+static int render_scene(const settings *s, int argc, char **argv)
+{
+    lmg_error err;
+    view_scene *scene = NULL;
+    bool picture = s->exr || s->png;
+    double unused;
+    char *command = command_line(argc, argv);
+    json_t *meters = s->json ? json_array() : NULL;
+    lmg_result r = read_exposure(s->exposure, &unused, &err);
+    r = r ? r : check_place(s->exr, &err);
+    r = r ? r : check_place(s->png, &err);
+    r = r ? r : load(s, &scene, &err);
+    if (r == LMG_OK) {
+        warn_about_scene(s, scene);
+        const view_meter_options options = {
+            .samples = s->paths, .seed = s->seed, .threads = (unsigned)s->threads, .path = {.max_depth = (uint32_t)s->max_depth}};
+        r = lux_measure(scene, s->meters, s->meter_count, &options, s->quiet, meters, &err);
+    }
+    if (r == LMG_OK && picture) {
+        r = make_picture(s, scene, command, meters, &err);
+    } else if (r == LMG_OK && meters) {
+        json_t *o =
+            json_pack("{s:i, s:s, s:O, s:I}", "version", 1, "command", "render", "meters", meters, "seed", (json_int_t)s->seed);
+        json_dumpf(o, stdout, JSON_INDENT(2) | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(9));
+        putchar('\n');
+        json_decref(o);
+    }
+    int code = EXIT_DONE;
     if (r != LMG_OK) {
         code = say_result(r, &err);
     } else if (atomic_load(&interrupted)) {
         code = EXIT_INTERRUPTED;
     }
-    view_render_destroy(render);
+    json_decref(meters);
     view_scene_destroy(scene);
     free(command);
     return code;
@@ -640,5 +702,6 @@ int cmd_render(int argc, char **argv)
     free(s.things);
     free(s.sets);
     free(s.set_thing);
+    free(s.meters);
     return code;
 }

@@ -3,6 +3,8 @@
  */
 #include "render.h"
 
+#include "meter.h"
+
 #include <pthread.h>
 #include <stdlib.h>
 #include <time.h>
@@ -12,6 +14,9 @@
 enum { TILE = 16 };
 
 enum { MAX_THREADS = 1024 };
+
+/* One in so many of a pixel's samples follows the boxes' errors, which takes time. */
+enum { FOLLOW = 16 };
 
 lmg_result view_image_create(uint32_t width, uint32_t height, view_image *out, lmg_error *err)
 {
@@ -51,6 +56,9 @@ struct view_render {
     uint32_t tiles_x, tiles_y;
     view_pixel *pixels;
     uint64_t rays, refused;
+    double deviation[2][VIEW_BAKES]; /* of even and odd pixels' samples that follow the boxes' errors; the order of adding them up
+                                        isn't fixed, and rounding is all that may differ */
+    uint64_t followed[2];
     double seconds;
     /* of the pass under way */
     atomic_uint next_tile;
@@ -99,8 +107,17 @@ void view_render_destroy(view_render *render)
     free(render);
 }
 
-static void trace_pixel(view_render *render, view_worker *worker, uint32_t x, uint32_t y)
+typedef struct thread_task {
+    view_render *render;
+    view_worker worker;
+    double deviation[2][VIEW_BAKES];
+    uint64_t followed[2];
+    pthread_t thread;
+} thread_task;
+
+static void trace_pixel(view_render *render, thread_task *task, uint32_t x, uint32_t y)
 {
+    view_worker *worker = &task->worker;
     const view_render_options *options = &render->options;
     uint64_t index = (uint64_t)y * options->width + x;
     view_pixel *pixel = &render->pixels[index];
@@ -109,6 +126,9 @@ static void trace_pixel(view_render *render, view_worker *worker, uint32_t x, ui
         double px = x + lum_rng_next(&rng), py = y + lum_rng_next(&rng);
         lmg_vec3 d = view_camera_direction(render->camera, px, py, options->width, options->height);
         double rgb[3];
+        bool follow = render->scene->box_count && pixel->samples % FOLLOW == 0;
+        worker->deviation = follow ? task->deviation[(x + y) % 2] : NULL;
+        task->followed[(x + y) % 2] += follow;
         view_path_radiance(render->scene, &options->path, render->camera->eye, d, &rng, worker, rgb);
         for (int c = 0; c < 3; c++) {
             pixel->sum[c] += rgb[c];
@@ -120,12 +140,6 @@ static void trace_pixel(view_render *render, view_worker *worker, uint32_t x, ui
         pixel->deviations += step * (luminance - pixel->mean);
     }
 }
-
-typedef struct thread_task {
-    view_render *render;
-    view_worker worker;
-    pthread_t thread;
-} thread_task;
 
 static void *run_tiles(void *argument)
 {
@@ -145,7 +159,7 @@ static void *run_tiles(void *argument)
                 return NULL;
             }
             for (uint32_t x = x0; x < x0 + TILE && x < render->options.width; x++) {
-                trace_pixel(render, &task->worker, x, y);
+                trace_pixel(render, task, x, y);
             }
         }
     }
@@ -188,6 +202,12 @@ lmg_result view_render_pass(view_render *render, uint32_t samples, const atomic_
         }
         render->rays += tasks[i].worker.rays;
         render->refused += tasks[i].worker.refused;
+        for (int h = 0; h < 2; h++) {
+            render->followed[h] += tasks[i].followed[h];
+            for (int k = 0; k < VIEW_BAKES; k++) {
+                render->deviation[h][k] += tasks[i].deviation[h][k];
+            }
+        }
     }
     free(tasks);
     free(weights);
@@ -238,6 +258,18 @@ static double typical_noise(const view_render *render)
     return median;
 }
 
+/* Standard error of the mean luminance from the bakes; 0 as long as one half is empty. */
+static double mean_bake_error(const view_render *render)
+{
+    double half[2][VIEW_BAKES];
+    for (int h = 0; h < 2; h++) {
+        for (int k = 0; k < VIEW_BAKES; k++) {
+            half[h][k] = render->followed[h] ? render->deviation[h][k] / (double)render->followed[h] : 0;
+        }
+    }
+    return view_bake_error(half[0], half[1]);
+}
+
 view_render_state view_render_look(const view_render *render)
 {
     view_render_state state = {
@@ -252,7 +284,10 @@ view_render_state view_render_look(const view_render *render)
             state.samples_max = p->samples;
         }
         state.mean += p->mean / (double)count;
+        state.mean_render += pixel_variance(p) / ((double)count * (double)count);
     }
+    state.mean_render = sqrt(state.mean_render);
+    state.mean_bake = mean_bake_error(render);
     state.noise = typical_noise(render);
     return state;
 }

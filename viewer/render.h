@@ -50,7 +50,8 @@ typedef struct view_render_state {
     double seconds;                    /* wall clock spent in passes */
     double
         noise;   /* typical relative standard error of a pixel: median over blocks; NAN before the second sample or without light */
-    double mean; /* mean luminance, cd/m2 */
+    double mean;                   /* mean luminance, cd/m2, */
+    double mean_bake, mean_render; /* and its standard errors, of the boxes' bakes (meter.h) and of the paths (NAN: fewer than two) */
 } view_render_state;
 view_render_state view_render_look(const view_render *render);
 

@@ -12,6 +12,7 @@
 #include <stdint.h>
 #include <cmocka.h>
 
+#include <jansson.h>
 #include <dirent.h>
 #include <fcntl.h>
 #include <signal.h>
@@ -210,6 +211,28 @@ static void renders_and_compares(void **state)
     assert_int_equal(run("diff --help"), 0);
 }
 
+/* A meter without a picture, as a line and as JSON, 1 m under the panel. */
+static void measures_illuminance(void **state)
+{
+    (void)state;
+    double lux, bake, render;
+    assert_int_equal(run("render room.gltf --light lamp@1,2.box.exr@0,2.4,0 --lux 0,1.4,0,0,1,0 --paths 20000"), 0);
+    if (sscanf(out_text, "illuminance at 0,1.4,0 = %lf lx +- %lf %% bake +- %lf %% render", &lux, &bake, &render) != 3) {
+        fail_msg("\"%s\" isn't a meter's line", out_text);
+    }
+    /* The panel's own light; and less than twice what the walls, of albedo 0.6, add on average: flux 0.6 / (59 m2 0.4). */
+    double direct = panel_illuminance(-0.2, 0.2, -0.2, 0.2, 2000, 0, 1, 0),
+           more = panel_flux(-0.2, 0.2, -0.2, 0.2, 2000) * 0.6 / (59 * 0.4);
+    print_message("%s", out_text);
+    assert_true(lux > direct && lux < direct + 2 * more && render > 0 && render < 3 && bake >= 0);
+    assert_int_equal(run("render room.gltf --light lamp@1,2.box.exr@0,2.4,0 --lux 0,1.4,0,0,1,0 --paths 20000 --json"), 0);
+    json_error_t where;
+    json_t *o = json_loads(out_text, 0, &where);
+    double again = json_real_value(json_object_get(json_array_get(json_object_get(o, "meters"), 0), "illuminance_lx"));
+    assert_true(fabs(again / lux - 1) < 1e-3);
+    json_decref(o);
+}
+
 static void wrong_usage_is_2(void **state)
 {
     (void)state;
@@ -222,6 +245,9 @@ static void wrong_usage_is_2(void **state)
         "render room.gltf --png none.png --light lamp@1,2.box.exr",
         "render room.gltf --png none.png --light lamp.box.exr@1,2",
         "render room.gltf --png none.png --lamp lamp.gltf@1,2,3,4,5",
+        "render room.gltf --lux 0,1,0",
+        "render room.gltf --lux 0,1,0,0,0,0",
+        "render room.gltf --lux 0,1,0,0,1,0 --paths 1",
         "render room.gltf --png none.png --spp 0",
         "render room.gltf --png none.png --spp 1.5",
         "render room.gltf --png none.png --spp",
@@ -426,8 +452,13 @@ static void odd_rooms(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(renders_and_compares),           cmocka_unit_test(wrong_usage_is_2), cmocka_unit_test(bad_input_is_3),
-        cmocka_unit_test(interrupt_writes_what_there_is), cmocka_unit_test(time_is_kept),     cmocka_unit_test(odd_rooms),
+        cmocka_unit_test(renders_and_compares),
+        cmocka_unit_test(measures_illuminance),
+        cmocka_unit_test(wrong_usage_is_2),
+        cmocka_unit_test(bad_input_is_3),
+        cmocka_unit_test(interrupt_writes_what_there_is),
+        cmocka_unit_test(time_is_kept),
+        cmocka_unit_test(odd_rooms),
     };
     return cmocka_run_group_tests(tests, make_folder, remove_folder);
 }

@@ -6,6 +6,7 @@
  * sums of squares over blocks beyond the value that a chi-square distribution exceeds with a probability of 1e-4 (Wilson and
  * Hilferty 1931).
  */
+#include "meter.h"
 #include "room_fixture.h"
 
 #include <setjmp.h>
@@ -23,15 +24,11 @@
 static const double REJECT = 4;
 static const view_path_options ENDLESS = {.max_depth = UINT32_MAX};
 
-/* Photon-like rays of a Lambertian sphere of radius r around the origin, flux 1 each, into a fitted box. */
-static lmg_field *sphere_field(double r, double flux)
+/* Photon-like rays of a Lambertian sphere of radius r around the origin, flux 1 each. */
+static void sphere_rays(double r, lmg_ray *rays, uint64_t count, uint64_t seed)
 {
-    enum { RAYS = 400000 };
-    lmg_error err = {""};
-    lmg_ray *rays = malloc(RAYS * sizeof *rays);
-    assert_non_null(rays);
-    lum_rng rng = lum_rng_stream(7, 7);
-    for (uint64_t i = 0; i < RAYS; i++) {
+    lum_rng rng = lum_rng_stream(seed, 7);
+    for (uint64_t i = 0; i < count; i++) {
         double y = 2 * lum_rng_next(&rng) - 1, phi = 2 * VIEW_PI * lum_rng_next(&rng), q = sqrt(1 - y * y);
         lmg_vec3 n = {q * cos(phi), y, q * sin(phi)};
         double u = lum_rng_next(&rng), psi = 2 * VIEW_PI * lum_rng_next(&rng);
@@ -40,22 +37,32 @@ static lmg_field *sphere_field(double r, double flux)
             view_add(view_scale(n, sqrt(1 - u)), view_add(view_scale(t, sqrt(u) * cos(psi)), view_scale(b, sqrt(u) * sin(psi))));
         rays[i] = (lmg_ray){.origin = view_scale(n, r), .direction = view_unit(d), .flux = {1, 1, 1}, .number = i};
     }
+}
+
+/* count such rays of a seed in a box fitted to those of seed 7. */
+static lmg_field *sphere_field(double r, double flux, uint64_t count, uint64_t cells, uint64_t seed)
+{
+    lmg_error err = {""};
+    lmg_ray *rays = malloc(count * sizeof *rays);
+    assert_non_null(rays);
+    sphere_rays(r, rays, count, 7);
     /* The bounds stand off the sphere a little and unevenly. */
     lmg_fit_options fit = {.struct_size = sizeof fit,
-                           .cells = 200000,
+                           .cells = cells,
                            .bounds_min = {-r - 0.01, -r - 0.02, -r - 0.03},
                            .bounds_max = {r + 0.01, r + 0.02, r + 0.03}};
     lmg_layout layout;
     lmg_accumulator *acc = NULL;
     lmg_field *field = NULL;
     char report[1024];
-    if (lmg_layout_fit(rays, RAYS, &fit, &layout, report, &err) != LMG_OK ||
+    if (lmg_layout_fit(rays, count, &fit, &layout, report, &err) != LMG_OK ||
         lmg_accumulator_create(&layout, &acc, &err) != LMG_OK) {
         fail_msg("%s", err.message);
     }
-    lmg_accumulator_deposit(acc, rays, RAYS);
-    lmg_ledger ledger = {.photons = RAYS, .emitted = flux, .stored = flux};
-    assert_int_equal(lmg_field_reconstruct(acc, flux / RAYS, &ledger, &field, &err), LMG_OK);
+    sphere_rays(r, rays, count, seed);
+    lmg_accumulator_deposit(acc, rays, count);
+    lmg_ledger ledger = {.photons = count, .emitted = flux, .stored = flux};
+    assert_int_equal(lmg_field_reconstruct(acc, flux / (double)count, &ledger, &field, &err), LMG_OK);
     lmg_accumulator_destroy(acc);
     free(rays);
     return field;
@@ -76,7 +83,7 @@ static void closed_room_balance(void **state)
         room_rectangle walls[6];
         room_walls(lower, upper, RHO[k], walls);
         view_scene *scene = scene_of(walls, 6);
-        lmg_field *field = sphere_field(0.1, FLUX);
+        lmg_field *field = sphere_field(0.1, FLUX, 400000, 200000, 7);
         double stored = 0;
         for (uint32_t i = 0; i < lmg_field_layout(field)->slab_count; i++) {
             stored += lmg_field_slab_flux(field, i, NULL);
@@ -328,12 +335,78 @@ static void errors_are_honest(void **state)
     view_scene_destroy(scene);
 }
 
+/*
+ * A meter's two errors together are the spread that it has over bakes and paths of other seeds, direct and indirect light alike;
+ * and so are those of a picture's mean.  The bake is made to weigh more than the paths, so that a bake's error left out or doubled
+ * shows: the spread over the claim, times SEEDS - 1, is chi-square distributed, within its 1e-4 quantiles a ratio of 0.36 to 2.1.
+ */
+static void errors_of_bake_and_paths_are_honest(void **state)
+{
+    (void)state;
+    enum { SEEDS = 40 };
+    lmg_error err;
+    const double lower[3] = {-1, 0, -1}, upper[3] = {1, 2, 1};
+    room_rectangle walls[7];
+    room_walls(lower, upper, 0.5, walls);
+    walls[6] = (room_rectangle){.corner = {-0.3, 0.9, -0.3}, .e1 = {0, 0, 0.6}, .e2 = {0.6, 0, 0}, .albedo = 0.5}; /* a table */
+    double sum[3] = {0}, squares[3] = {0}, bake[3] = {0}, paths[3] = {0};
+    for (int i = 0; i < SEEDS; i++) {
+        view_scene *scene = scene_of(walls, 7);
+        const view_placement placement = {.position = {0.1, 1.6, 0}, .ry = 25};
+        assert_int_equal(view_scene_adopt_box(scene, sphere_field(0.1, 1000, 20000, 20000, 100 + (uint64_t)i), &placement, 0, &err),
+                         LMG_OK);
+        assert_int_equal(view_scene_finish(scene, &err), LMG_OK);
+        for (int k = 0; k < 3; k++) {
+            double value, from_bake, from_paths;
+            if (k < 2) { /* on the table, and beneath it on the floor, where no light comes directly */
+                const lmg_vec3 at = view_sub(k ? (lmg_vec3){0, 0.01, 0} : (lmg_vec3){-0.1, 0.91, 0.1}, scene->origin),
+                               up = {0, 1, 0};
+                const view_meter_options options = {.samples = 8000, .seed = 200 + (uint64_t)i, .path = ENDLESS};
+                view_reading r;
+                assert_int_equal(view_meter_read(scene, at, up, &options, &r, &err), LMG_OK);
+                value = r.lux;
+                from_bake = r.bake;
+                from_paths = r.render;
+            } else {
+                view_camera camera = camera_at(scene, 0.1, 1.3, 0.9, 0, 0.9, 0, 30);
+                view_render *render = NULL;
+                const view_render_options options = {.width = 48, .height = 48, .seed = 300 + (uint64_t)i, .path = ENDLESS};
+                assert_int_equal(view_render_create(scene, &camera, &options, &render, &err), LMG_OK);
+                for (int pass = 0; pass < 2; pass++) {
+                    assert_int_equal(view_render_pass(render, 2, NULL, &err), LMG_OK);
+                }
+                view_render_state look = view_render_look(render);
+                value = look.mean;
+                from_bake = look.mean_bake;
+                from_paths = look.mean_render;
+                view_render_destroy(render);
+            }
+            sum[k] += value;
+            squares[k] += value * value;
+            bake[k] += from_bake * from_bake / SEEDS;
+            paths[k] += from_paths * from_paths / SEEDS;
+        }
+        view_scene_destroy(scene);
+    }
+    static const char *const WHAT[3] = {"meter in direct light", "meter in indirect light", "mean picture"};
+    for (int k = 0; k < 3; k++) {
+        double mean = sum[k] / SEEDS, spread = (squares[k] - sum[k] * mean) / (SEEDS - 1), ratio = spread / (bake[k] + paths[k]);
+        print_message("%-24s %.4g, spread over %d seeds %.2f %%, claimed %.2f %% bake, %.2f %% paths: variances' ratio %.2f\n",
+                      WHAT[k], mean, SEEDS, 100 * sqrt(spread) / mean, 100 * sqrt(bake[k]) / mean, 100 * sqrt(paths[k]) / mean,
+                      ratio);
+        double c = 2.0 / (9 * (SEEDS - 1));
+        assert_true(ratio * (SEEDS - 1) < chi_square_limit(SEEDS - 1));
+        assert_true(ratio > pow(1 - c - 3.719 * sqrt(c), 3));
+    }
+    assert_true(bake[0] > paths[0]);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(connections_change_no_mean), cmocka_unit_test(closed_room_balance),
         cmocka_unit_test(box_and_geometry_agree),     cmocka_unit_test(threads_change_nothing),
-        cmocka_unit_test(errors_are_honest),
+        cmocka_unit_test(errors_are_honest),          cmocka_unit_test(errors_of_bake_and_paths_are_honest),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
