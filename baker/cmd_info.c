@@ -158,7 +158,7 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
     const lmg_ledger l = lmg_field_ledger(field);
     const char *unit = flux_unit(field);
     const lmg_rounding lost = lmg_field_rounding(field);
-    printf("%s: %.2f MB, %.1f MB in memory\n", c->box, 1e-6 * (double)bytes, 1e-6 * (double)lmg_field_memory(field));
+    printf("%s: %.2f MB, %.1f MB in memory while rendering\n", c->box, 1e-6 * (double)bytes, 1e-6 * (double)lmg_field_memory(field));
     if (lost.loss > 0 || lost.half_loss > 0)
         printf("cells rounded: RMS %.2g of their standard errors, halves %.2g\n", lost.loss, lost.half_loss);
     else

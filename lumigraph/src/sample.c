@@ -12,7 +12,8 @@ size_t lmg_sampler_memory(const lmg_sampler *sampler)
 {
     if (!sampler)
         return 0;
-    size_t sum = sizeof *sampler + (size_t)sampler->row_count * sizeof *sampler->rows + lmg_groups_memory(sampler);
+    size_t sum = sizeof *sampler + (size_t)sampler->row_count * sizeof *sampler->rows + (size_t)(sampler->guide_count + 1) * sizeof *sampler->guide +
+                 lmg_groups_memory(sampler);
     for (uint32_t j = 0; j < sampler->plan.layout->slab_count; j++)
         sum += lmg_slopes_memory(&sampler->slopes[j], &sampler->plan.layout->slabs[j]);
     return sum;
@@ -28,6 +29,7 @@ void lmg_sampler_destroy(lmg_sampler *sampler)
     }
     lmg_groups_destroy(sampler);
     lmg_table_free(sampler->rows, (size_t)sampler->row_count * sizeof *sampler->rows);
+    free(sampler->guide);
     free(sampler);
 }
 
@@ -63,6 +65,27 @@ static void sum_slab(lmg_field *field, lmg_sampler *sampler, uint32_t j, double 
         }
     data->flux = flux;
     data->flux_se = sqrt(variance);
+}
+
+/* A guide that leaves a few rows to search among, of what fits a processor's cache [chen1974]. */
+enum { MOST_GUIDE = 1 << 16 };
+static bool make_guide(lmg_sampler *s)
+{
+    s->guide_count = 1;
+    while (s->guide_count < MOST_GUIDE && 2 * s->guide_count <= s->row_count)
+        s->guide_count *= 2;
+    s->guide = malloc((size_t)(s->guide_count + 1) * sizeof *s->guide);
+    if (!s->guide)
+        return false;
+    const double total = s->rows[s->row_count - 1];
+    uint64_t row = 0;
+    for (uint64_t k = 0; k <= s->guide_count; k++) {
+        const double from = (double)k / (double)s->guide_count * total;
+        while (row + 1 < s->row_count && !(s->rows[row] > from))
+            row++;
+        s->guide[k] = row;
+    }
+    return true;
 }
 
 /* Whether a cell of a slab carries anything. */
@@ -106,6 +129,8 @@ lmg_result lmg_field_prepare(lmg_field *field, lmg_error *err)
         }
         lmg_etendue_forget_share(&s->etendue[j]);
     }
+    if (r == LMG_OK && !make_guide(s))
+        r = lmg_fail(err, LMG_ERROR_MEMORY, "field: no memory for its sampler");
     if (r == LMG_OK)
         r = lmg_groups_create(field, s, err);
     if (r != LMG_OK) {
@@ -210,9 +235,11 @@ bool lmg_field_emit(const lmg_field *field, const double xi[5], lmg_ray *out)
     double total = sampler->rows[sampler->row_count - 1];
     if (!(total > 0))
         return false;
-    /* The first row whose running sum exceeds the wanted flux: never a row without flux. */
+    /* The first row whose running sum exceeds the wanted flux: never a row without flux.  The guide's places don't lose it to rounding, since
+     * products are rounded in order and its number is a power of 2. */
     double want = xi[0] * total;
-    uint64_t lo = 0, hi = sampler->row_count - 1;
+    const uint64_t place = (uint64_t)d_clamp(xi[0] * (double)sampler->guide_count, 0, (double)(sampler->guide_count - 1));
+    uint64_t lo = sampler->guide[place], hi = sampler->guide[place + 1];
     while (lo < hi) {
         uint64_t mid = (lo + hi) / 2;
         if (sampler->rows[mid] > want)

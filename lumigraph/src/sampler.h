@@ -42,6 +42,9 @@ struct lmg_sampler {
      * cell where the etendue of cells is costly (row_length 1). */
     double *rows;
     uint64_t row_count;
+    /* Where to look for a flux among the rows: first row whose sum exceeds k/guide_count of all, k from 0 to guide_count, a power of 2. */
+    uint64_t *guide;
+    uint64_t guide_count;
     uint64_t first_row[LMG_MAX_SLABS + 1];
     uint32_t row_length[LMG_MAX_SLABS];
     double flux; /* of all groups, lumens */
