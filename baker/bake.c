@@ -7,6 +7,7 @@
 
 #include "part.h"
 #include "receiver.h"
+#include "size.h"
 #include "team.h"
 
 #include <luminaires/model.h>
@@ -27,6 +28,9 @@ static const double PILOT_SHARE = 0.05;
 static const double ROUND_SECONDS = 0.5;
 static const uint64_t ROUND_MIN = 8192;
 static const double DEFAULT_SECONDS = 60, DEFAULT_CHECKPOINT_SECONDS = 60;
+/* Cells for the size of a file: never more than memory and time allow, than photons find, or, unless asked for, than a lamp's near field needs. */
+static const uint64_t DEFAULT_CELLS = 4000000, MOST_CELLS = 64000000;
+static const double CELLS_PER_PHOTON = 4;
 /* Receiver that the noise is told on. */
 static const uint32_t NOISE_PIXELS = 32;
 
@@ -399,6 +403,35 @@ static lmg_result identify(const bake *b, bake_part *part, lmg_error *err)
     return result;
 }
 
+/* Cells for the size of the file asked for; a line on why. */
+static lmg_result choose_cells(bake *b, double seconds, lmg_fit_options *fit, char why[160], lmg_error *err)
+{
+    const bake_options *o = b->options;
+    why[0] = 0;
+    if (fit->cells || fit->resolution[0] || fit->resolution[1] || fit->resolution[2] || fit->resolution[3])
+        return LMG_OK;
+    const double photons = o->whole > 0    ? (double)o->whole
+                           : o->photons > 0 ? (double)o->photons
+                                            : (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6) * seconds;
+    /* what a cell is too many that one photon in CELLS_PER_PHOTON finds; but as many as always for few photons */
+    const double most = o->size > 0 ? fmin(fmax(CELLS_PER_PHOTON * photons, (double)DEFAULT_CELLS), (double)MOST_CELLS) : (double)DEFAULT_CELLS;
+    size_t count;
+    const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
+    bake_size size;
+    const double wanted = o->size > 0 ? o->size : BAKE_SIZE;
+    const lmg_result result = bake_size_choose(rays, count, (double)b->part->pilot_photons, photons, fit, wanted, (uint64_t)most, &size, err);
+    if (result != LMG_OK)
+        return result;
+    fit->cells = size.cells;
+    b->report->size_foretold = size.bytes;
+    if (size.bytes > 0)
+        snprintf(why, 160, "%.3g M cells: %s; about %.2f MB of %.2f for %.3g M photons\n", 1e-6 * (double)size.cells,
+                 size.limited ? "what the size allows" : "the size would allow more", 1e-6 * size.bytes, 1e-6 * wanted, 1e-6 * photons);
+    else
+        snprintf(why, 160, "%.3g M cells: %.3g M photons don't fill %.2f MB\n", 1e-6 * (double)size.cells, 1e-6 * photons, 1e-6 * wanted);
+    return LMG_OK;
+}
+
 /* Pilot and layout of a bake that starts. */
 static lmg_result begin_part(bake *b, double seconds, lmg_error *err)
 {
@@ -415,15 +448,19 @@ static lmg_result begin_part(bake *b, double seconds, lmg_error *err)
     size_t count;
     const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
     lmg_layout layout;
-    char why[1024], pilot[24];
+    char cells[160], why[1024], both[1184], pilot[24];
     snprintf(pilot, sizeof(pilot), "%" PRIu64, b->part->pilot_photons);
-    result = lmg_layout_fit(rays, count, &fit, &layout, why, err);
+    result = choose_cells(b, seconds, &fit, cells, err);
+    if (result == LMG_OK)
+        result = lmg_layout_fit(rays, count, &fit, &layout, why, err);
+    if (result == LMG_OK)
+        snprintf(both, sizeof(both), "%s%s", cells, why);
     if (result == LMG_OK)
         result = measure_noise(b, &layout, err);
     if (result == LMG_OK)
         result = bake_part_set_text(b->part, PART_PILOT_PHOTONS, pilot, err);
     if (result == LMG_OK)
-        result = bake_part_set_text(b->part, PART_LAYOUT_WHY, why, err);
+        result = bake_part_set_text(b->part, PART_LAYOUT_WHY, both, err);
     if (result == LMG_OK)
         result = lmg_accumulator_create(&layout, &b->part->accumulator, err);
     return result;

@@ -40,6 +40,8 @@ typedef struct bake_options {
     double flux_lm;                    /* > 0: the lamp's sources emit so many lumens */
     double output_flux_lm;             /* > 0: so many lumens leave the luminaire; excludes flux_lm */
     lmg_fit_options fit;               /* layout wishes; the bounds are filled in */
+    double size;                       /* bytes of the box's file that the layout's cells are chosen for, unless fit says cells or resolution;
+                                        * 0 = at most BAKE_SIZE, of at most as many cells as lmg_layout_fit takes by itself */
     const char *settings;              /* further texts for the file, NULL = none: the settings as JSON, ... */
     const char *recipe;                /* ... and the recipe */
     const volatile sig_atomic_t *stop; /* when it becomes non-zero, the bake ends with the round at hand */
@@ -62,7 +64,8 @@ typedef struct bake_report {
     double noise;     /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */
     bake_bias bias;   /* what the cells smooth, as the pilot's rays see it */
     bake_plan plan;   /* of effects; plan.simulated are those of the box */
-    char layout_why[1024];
+    double size_foretold; /* bytes, from the pilot; 0 = not foretold (cells were given, or the bake was resumed) */
+    char layout_why[1184];
     bool interrupted;
     bool resumed;      /* photons of an earlier run are among these */
     bool checkpointed; /* the checkpoint's file holds all of them, or those up to the last minute */
@@ -83,6 +86,9 @@ const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count); /* f
 
 /* What boxes lose by rounding, of their noise (lmg_field_write_rounded): a tenth can't be told from nothing. */
 #define BAKE_ROUNDING 0.1
+
+/* Bytes of a box, at most, when nothing is asked for. */
+#define BAKE_SIZE 16e6
 
 /* Pilot photons are numbered from here on, apart from those of the bake. */
 #define BAKE_PILOT_FIRST (UINT64_C(1) << 62)

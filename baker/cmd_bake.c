@@ -29,6 +29,7 @@ enum {
     KEY_SEED,
     KEY_THREADS,
     KEY_LAYOUT,
+    KEY_SIZE,
     KEY_CELLS,
     KEY_RESOLUTION,
     KEY_LOSSLESS,
@@ -44,6 +45,9 @@ enum {
     KEY_JSON
 };
 
+/* A file may be larger than asked for by so much; beyond that its cells are rounded more coarsely, by at most so much of their noise. */
+static const double SIZE_SLACK = 1.03, MOST_ROUNDING = 0.4;
+
 static const struct argp_option OPTIONS[] = {
     {"output", 'o', "BOX", 0, "the file to write, NAME.box.exr", 1},
     {"time", KEY_TIME, "TIME", 0, "trace for so long: 90s, 5m, 1h (default 60s)", 2},
@@ -54,7 +58,8 @@ static const struct argp_option OPTIONS[] = {
     {"output-flux", KEY_OUTPUT_FLUX, "LM", 0, "what leaves the luminaire", 3},
     LAMP_OPTIONS(3),
     {"layout", KEY_LAYOUT, "KIND", 0, "auto, cube or aperture (default auto)", 4},
-    {"cells", KEY_CELLS, "N", 0, "size of the light field in cells (default 4e6)", 4},
+    {"size", KEY_SIZE, "SIZE", 0, "of the file, such as 8MB, instead of cells", 4},
+    {"cells", KEY_CELLS, "N", 0, "size in cells (default 4e6, 16MB at most)", 4},
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 4},
     {"lossless", KEY_LOSSLESS, 0, 0, LOSSLESS_HELP, 4},
     {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
@@ -176,6 +181,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case KEY_LAYOUT:
         c->bake.fit.choice = argument_layout(state, arg);
         break;
+    case KEY_SIZE:
+        c->bake.size = argument_bytes(state, "--size", arg);
+        break;
     case KEY_CELLS:
         c->bake.fit.cells = argument_count(state, "--cells", arg, 1000, UINT64_C(1) << 32);
         break;
@@ -237,6 +245,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             usage_error(state, "which lamp? give a .gltf or .glb file");
         if (!c->output)
             usage_error(state, "where to? give -o NAME.box.exr");
+        if (c->bake.size > 0 && (c->bake.fit.cells || c->bake.fit.resolution[0] || c->bake.fit.resolution[1] || c->bake.fit.resolution[2] ||
+                                 c->bake.fit.resolution[3]))
+            usage_error(state, "--size chooses the cells: no --cells or --resolution with it");
         if (c->bake.photons && c->bake.seconds > 0)
             usage_error(state, "--time and --photons exclude each other");
         if (c->target.error > 0 && (c->bake.photons || c->bake.seconds > 0 || c->resume || c->bake.keep || c->shares || c->given_first))
@@ -302,6 +313,8 @@ static char *settings_text(const command *c)
             json_array_append_new(r, json_integer(f->resolution[i]));
         json_object_set_new(o, "resolution", r);
     }
+    if (c->bake.size > 0)
+        json_object_set_new(o, "size", json_real(c->bake.size));
     if (c->bake.effects_error > 0)
         json_object_set_new(o, "effects_error", json_real(c->bake.effects_error));
     if (c->bake.flux_lm > 0)
@@ -379,6 +392,7 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                         json_pack("{s:f, s:f, s:f, s:f, s:f}", "plan", r->plan_seconds, "pilot", r->pilot_seconds, "trace", r->trace_seconds, "reconstruct",
                                   r->reconstruct_seconds, "total", seconds));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
+    json_object_set_new(o, "bytes_foretold", r->size_foretold > 0 ? json_number(r->size_foretold) : json_null());
     json_object_set_new(o, "rounding", json_pack("{s:o, s:o}", "loss", json_number(c->lost.loss), "half_loss", json_number(c->lost.half_loss)));
     json_object_set_new(o, "interrupted", json_boolean(r->interrupted));
     json_object_set_new(o, "resumed", json_boolean(r->resumed));
@@ -431,7 +445,10 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
             printf("            %.*s\n", (int)length, line);
         line += length + (line[length] == '\n');
     }
-    printf("  file      %.2f MB, ", 1e-6 * (double)bytes);
+    printf("  file      %.2f MB", 1e-6 * (double)bytes);
+    if (r->size_foretold > 0)
+        printf(" (foretold: %.2f)", 1e-6 * r->size_foretold);
+    printf(", ");
     if (c->lost.loss > 0 || c->lost.half_loss > 0)
         printf("cells rounded by %.2g of their noise; ", c->lost.loss);
     else
@@ -452,6 +469,25 @@ static void print_remarks(const bake_report *r)
     if (r->tally.lost - r->tally.lost_inside > 1e-6 * n)
         fprintf(stderr, "warning: %.3g %% of the light was lost to numerical errors\n",
                 100 * (r->tally.lost - r->tally.lost_inside) / n);
+}
+
+static uint64_t bytes_of(const char *path)
+{
+    struct stat status;
+    return stat(path, &status) == 0 ? (uint64_t)status.st_size : 0;
+}
+
+/* Writes the box; one that comes out larger than was asked for is rounded more coarsely, as far as that goes. */
+static lmg_result write_in_size(command *c, const lmg_field *field, lmg_error *err)
+{
+    lmg_result result = write_box(field, c->output, c->lossless, &c->lost, err);
+    const double most = c->bake.size * SIZE_SLACK;
+    for (double loss = 2 * BAKE_ROUNDING; result == LMG_OK && most > 0 && !c->lossless && loss <= MOST_ROUNDING && (double)bytes_of(c->output) > most; loss *= 2)
+        result = lmg_field_write_rounded(field, c->output, loss, &c->lost, err);
+    if (result == LMG_OK && most > 0 && (double)bytes_of(c->output) > most && !c->quiet)
+        fprintf(stderr, "warning: %.2f MB are more than the %.2f MB asked for; --cells with fewer than the box has makes it smaller\n",
+                1e-6 * (double)bytes_of(c->output), 1e-6 * c->bake.size);
+    return result;
 }
 
 static int bake_lamp(command *c, lum_model *model, const char *recipe, double began)
@@ -480,7 +516,7 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
     free(settings);
     if (result != LMG_OK)
         return report_error(result, &err);
-    if (write_box(field, c->output, c->lossless, &c->lost, &err) != LMG_OK) {
+    if (write_in_size(c, field, &err) != LMG_OK) {
         lmg_field_destroy(field);
         return report_failure(&err);
     }
@@ -488,8 +524,7 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
     /* The box is there: a checkpoint, of this bake or of one that it replaces, has done its duty. */
     if (!report.interrupted && !c->bake.keep)
         unlink(c->part);
-    struct stat status = {0};
-    const uint64_t bytes = stat(c->output, &status) == 0 ? (uint64_t)status.st_size : 0;
+    const uint64_t bytes = bytes_of(c->output);
     const double seconds = bake_clock() - began;
     const bool missed = c->target.error > 0 && !c->reached.within && !report.interrupted;
     int code = report.interrupted ? EXIT_INTERRUPTED : missed ? EXIT_DIFFERENT : EXIT_DONE;

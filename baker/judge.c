@@ -93,14 +93,20 @@ double judge_noise(const judge *j, judge_measure m)
     return sqrt(sum);
 }
 
-/* The root of the mean of the squares of several errors. */
-static judge_error together(const judge_error *e, size_t count)
+/* The root of the mean of the squares of several errors; those of receivers that the lamp sends no light to are no numbers and don't count. */
+static judge_error together(const judge_error *e, size_t all)
 {
-    double sum = 0, variance = 0;
-    for (size_t i = 0; i < count; ++i) {
-        sum += e[i].rms * fabs(e[i].rms) / (double)count;
-        variance += 4 * e[i].rms * e[i].rms * e[i].standard_error * e[i].standard_error / (double)(count * count);
+    double sum = 0, variance = 0, count = 0;
+    for (size_t i = 0; i < all; ++i)
+        count += isfinite(e[i].rms) ? 1 : 0;
+    for (size_t i = 0; i < all; ++i) {
+        if (!isfinite(e[i].rms))
+            continue;
+        sum += e[i].rms * fabs(e[i].rms) / count;
+        variance += 4 * e[i].rms * e[i].rms * e[i].standard_error * e[i].standard_error / (count * count);
     }
+    if (!(count > 0))
+        return (judge_error){NAN, NAN};
     const double rms = sum >= 0 ? sqrt(sum) : -sqrt(-sum);
     return (judge_error){rms, rms != 0 ? sqrt(variance) / (2 * fabs(rms)) : 0};
 }

@@ -125,6 +125,17 @@ double argument_share(const struct argp_state *state, const char *option, const 
     return value;
 }
 
+double argument_bytes(const struct argp_state *state, const char *option, const char *text)
+{
+    char *end;
+    double value = strtod(text, &end);
+    const double unit = !strcmp(end, "kB") ? 1e3 : !strcmp(end, "MB") ? 1e6 : !strcmp(end, "GB") ? 1e9 : !strcmp(end, "") || !strcmp(end, "B") ? 1 : 0;
+    value *= unit;
+    if (end == text || unit == 0 || !(value >= 1e5) || !(value <= 1e11))
+        usage_error(state, "%s: '%s' is not a size such as 8MB, from 100kB to 100GB", option, text);
+    return value;
+}
+
 double argument_lumens(const struct argp_state *state, const char *option, const char *text)
 {
     char *end;

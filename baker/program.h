@@ -41,12 +41,13 @@ double argument_number(const struct argp_state *state, const char *option, const
 uint64_t argument_count(const struct argp_state *state, const char *option, const char *text, uint64_t least,
                         uint64_t most);                                                        /* "1e8" */
 double argument_seconds(const struct argp_state *state, const char *option, const char *text); /* "90s" "2m" "1h" */
+double argument_bytes(const struct argp_state *state, const char *option, const char *text);   /* "8MB", "500kB" or "8e6", in bytes */
 double argument_lumens(const struct argp_state *state, const char *option, const char *text);  /* "800lm" */
 lmg_layout_choice argument_layout(const struct argp_state *state, const char *text);           /* --layout "cube" */
 void argument_resolution(const struct argp_state *state, const char *text, uint32_t resolution[4]); /* --resolution "32,32,0,0" */
 
 /* Writes a box, its cells rounded unless it is to be lossless (--lossless).  lost: what rounding changed. */
-#define LOSSLESS_HELP "keep every bit of the cells, noise and all: a file two to six times as large"
+#define LOSSLESS_HELP "keep every bit: two to six times the size"
 lmg_result write_box(const lmg_field *field, const char *path, bool lossless, lmg_rounding *lost, lmg_error *err);
 
 /* Whether output can be written, asked before anything costly is done: its folder takes files, it is no folder itself and none of the

@@ -2,6 +2,8 @@
 /* Bakes to a stated error: a search over photons and cells, each box judged by the lamp's own rays. */
 #include "target.h"
 
+#include "size.h"
+
 #include <luminaires/model.h>
 
 #include <math.h>
@@ -10,6 +12,9 @@
 /* The first bake, and the largest: beyond that a bake of hours would begin, which nobody should fall into by a wrong percentage. */
 static const double FIRST_PHOTONS = 1e5, MOST_PHOTONS = 1e11;
 static const uint64_t FIRST_CELLS = 1000000, MOST_CELLS = 64000000;
+/* Where the file's size is limited: the first box has a cell for each byte, within reason; four times the cells take less than so many times the bytes. */
+static const uint64_t LEAST_CELLS = 100000;
+static const double GROWTH = 3;
 /* No step multiplies the photons by more: the scale is known from small bakes only roughly. */
 static const double LARGEST_STEP = 16;
 /* A box this close to the error asked for is it. */
@@ -93,6 +98,8 @@ lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *
     uint64_t rays = 0;
     const bool fixed = options->fit.cells > 0;
     uint64_t cells = fixed ? options->fit.cells : FIRST_CELLS;
+    if (!fixed && options->size > 0 && options->size < (double)cells)
+        cells = options->size > (double)LEAST_CELLS ? (uint64_t)options->size : LEAST_CELLS;
     double photons = FIRST_PHOTONS;
     tried list[TARGET_MAX_BAKES];
     size_t count = 0;
@@ -120,12 +127,17 @@ lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *
         list[count++] = (tried){photons, e.rms * fabs(e.rms), 1 / fmax(se * se, 1e-30)};
 
         double next = 0;
+        bool may_grow = !fixed && cells < MOST_CELLS;
         if (!now.within && !its.interrupted) {
-            double scale, floor2;
+            double scale, floor2, bytes = 0;
             fit(list, count, &scale, &floor2);
             const double room = target->error * target->error - floor2;
             if (ratio > 1 && sqrt(floor2) > HIGH_FLOOR * target->error) {
-                if (!fixed && cells < MOST_CELLS) {
+                if (may_grow && options->size > 0) {
+                    result = bake_size_of(*out, &bytes, err);
+                    may_grow = GROWTH * bytes <= options->size;
+                }
+                if (may_grow) {
                     cells *= 4;
                     count = 0; /* the floor is another one now */
                     next = photons;

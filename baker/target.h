@@ -29,7 +29,7 @@ typedef struct bake_reached {
 
 /*
  * Bakes until the error is what was asked for.  options: photons and seconds don't count; fit.cells > 0 fixes the number of cells, else
- * it grows as needed.  *out is the box, also when the error can't be reached (within: false; then it is the best one).  Which photons and
+ * it grows as needed, as far as options.size allows.  *out is the box, also when the error can't be reached (within: false; then it is the best one).  Which photons and
  * cells are tried depends on the judging alone, never on time, so the same call gives the same box.  Errors: as bake_run.
  */
 lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *options, const bake_target *target, lmg_field **out,
