@@ -7,6 +7,10 @@
  * accumulator with the layout of a default bake.  The best of the turns counts.  One thread each, and all cores.  Time is the
  * processor time that the process got, divided by the threads, so that other work on the machine counts as little as can be.
  *
+ * Then what a deposit costs against resolution: the tracer without sinks and into slabs of 16^4, 32^4 and 64^4 cells each, in turn; what
+ * threads gain over one; and, of a photon in the largest table, the time and the growth of the process per photon of a run against one of
+ * an eighth.
+ *
  *     test_bench_tracer [--json] [LAMP.gltf ...]       default: the four sample lamps
  *
  * A lamp's recipe is read when LAMP.recipe.json lies beside it.
@@ -23,6 +27,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -134,6 +139,96 @@ static figures measure(bake_source *tracer, const float *rays, size_t segments, 
     return f;
 }
 
+typedef struct deposit_figures {
+    double million_cells;
+    double bare, baking; /* photons per second */
+    double linear;       /* time per photon of a run, over that of one of an eighth */
+    double grown;        /* MB that the process grew by meanwhile */
+} deposit_figures;
+
+static double baked_in(bake_source *tracer, const lmg_sink *sink, uint64_t first, uint64_t photons, unsigned threads)
+{
+    lmg_error err;
+    bake_tally tally = {0};
+    const double began = clock_of(threads);
+    if (tracer->run(tracer, first, photons, threads, sink, sink ? 1 : 0, &tally, &err) != LMG_OK)
+        die(&err);
+    return clock_of(threads) - began;
+}
+
+static double largest_size(void)
+{
+    struct rusage usage;
+    getrusage(RUSAGE_SELF, &usage);
+    return (double)usage.ru_maxrss / 1024;
+}
+
+/* All slabs of a layout with so many cells along each coordinate; false if there is no memory for them. */
+static bool measure_deposits(bake_source *tracer, const lmg_layout *fitted, uint32_t cells, uint64_t photons, unsigned threads,
+                             deposit_figures *f)
+{
+    lmg_error err;
+    lmg_layout layout = *fitted;
+    *f = (deposit_figures){0};
+    for (uint32_t j = 0; j < layout.slab_count; ++j) {
+        lmg_slab *s = &layout.slabs[j];
+        s->nu = s->nv = s->ns = s->nt = cells;
+        f->million_cells += 1e-6 * pow(cells, 4);
+    }
+    lmg_accumulator *accumulator;
+    if (lmg_accumulator_create(&layout, &accumulator, &err) != LMG_OK)
+        return false;
+    const lmg_sink sink = lmg_accumulator_sink(accumulator);
+    baked_in(tracer, &sink, 0, photons, threads); /* the pages are there from now on */
+    const double size = largest_size();
+    double shorter = (double)INFINITY, whole = (double)INFINITY;
+    for (int turn = 0; turn < TURNS; ++turn) {
+        const uint64_t first = (uint64_t)turn * photons;
+        f->bare = best(f->bare, (double)photons / baked_in(tracer, NULL, first, photons, threads));
+        shorter = fmin(shorter, baked_in(tracer, &sink, first, photons / 8, threads));
+        whole = fmin(whole, baked_in(tracer, &sink, first, photons, threads));
+    }
+    f->baking = (double)photons / whole;
+    f->linear = whole / (double)photons / (shorter / (double)(photons / 8));
+    f->grown = largest_size() - size;
+    lmg_accumulator_destroy(accumulator);
+    return true;
+}
+
+static void print_deposits(const char *name, uint32_t cells, unsigned threads, const deposit_figures *f, double one, bool json, bool first)
+{
+    const double share = 1 - f->baking / f->bare;
+    if (json)
+        printf("%s\n    {\"lamp\": \"%s\", \"cells_per_axis\": %u, \"million_cells\": %.4g, \"threads\": %u, \"baking_photons_per_s\": %.5g, "
+               "\"deposit_share\": %.4f, \"over_one_thread\": %.3f, \"time_per_photon_over_shorter_run\": %.3f, \"megabytes_grown\": %.3g}",
+               first ? "" : ",", name, cells, f->million_cells, threads, f->baking, share, f->baking / one, f->linear, f->grown);
+    else
+        printf("%-18s %4u^4 %8.2f %7u %9.2f %7.0f %% %9.2f %9.3f %8.1f\n", name, cells, f->million_cells, threads, 1e-6 * f->baking,
+               100 * share, f->baking / one, f->linear, f->grown);
+    fflush(stdout);
+}
+
+static void bench_deposits(const char *name, bake_source *tracer, const lmg_layout *layout, uint64_t photons, bool json, bool *first)
+{
+    static const uint32_t CELLS[] = {16, 32, 64};
+    const unsigned cores = bake_thread_count(0);
+    for (int k = 0; k < 3; ++k) {
+        double one = 0;
+        for (unsigned threads = 1;; threads = cores) {
+            deposit_figures f;
+            if (!measure_deposits(tracer, layout, CELLS[k], photons, threads, &f)) {
+                fprintf(stderr, "no memory for %u^4 cells in each slab of %s\n", CELLS[k], name);
+                break;
+            }
+            one = threads == 1 ? f.baking : one;
+            print_deposits(name, CELLS[k], threads, &f, one, json, *first);
+            *first = false;
+            if (threads == cores)
+                break;
+        }
+    }
+}
+
 static void print_figures(const char *name, uint32_t triangles, unsigned threads, const figures *f, bool json, bool first)
 {
     if (json) {
@@ -151,7 +246,8 @@ static void print_figures(const char *name, uint32_t triangles, unsigned threads
     fflush(stdout);
 }
 
-static void bench_lamp(const char *path, bool json, bool *first)
+/* deposits: their table instead of the lamp's shares of Embree. */
+static void bench_lamp(const char *path, bool deposits, bool json, bool *first)
 {
     lmg_error err;
     char recipe_path[1100], name[64];
@@ -184,6 +280,10 @@ static void bench_lamp(const char *path, bool json, bool *first)
         if (tracer->run(tracer, 0, 10000, 1, NULL, 0, &tally, &err) != LMG_OK)
             die(&err);
         const uint64_t photons = (uint64_t)((double)segments * 10000 / (double)tally.segments);
+        if (deposits) {
+            bench_deposits(name, tracer, &layout, photons, json, first);
+            break;
+        }
         const figures f = measure(tracer, rays, segments, photons, &layout, threads);
         print_figures(name, model->triangle_count, threads, &f, json, *first);
         *first = false;
@@ -196,27 +296,30 @@ static void bench_lamp(const char *path, bool json, bool *first)
     lum_model_destroy(model);
 }
 
+static void bench_lamps(int count, char **paths, bool deposits, bool json)
+{
+    static const char *const LAMPS[] = {"paraboloid-spot", "opal-globe", "louvred-panel", "glass-lens"};
+    bool first = true;
+    for (int i = 0; i < (count > 0 ? count : 4); ++i) {
+        char path[1024];
+        snprintf(path, sizeof(path), "%s/models/%s/%s.gltf", LUMIBOX_BINARY_DIR, LAMPS[i % 4], LAMPS[i % 4]);
+        bench_lamp(count > 0 ? paths[i] : path, deposits, json, &first);
+    }
+}
+
 int main(int argc, char **argv)
 {
     const bool json = argc > 1 && !strcmp(argv[1], "--json");
-    bool first = true;
-    if (json)
-        printf("{\"format\": \"lumibox bench tracer 1\", \"results\": [");
-    else
-        printf(
-            "                                     segments  M segments/s                M photons/s   of Embree alone\n"
-            "lamp              triangles threads  /photon    Embree    tracer    baking    baking    tracer     baking deposit\n");
-    if (argc > 1 + json) {
-        for (int i = 1 + json; i < argc; ++i)
-            bench_lamp(argv[i], json, &first);
-    } else {
-        static const char *const LAMPS[] = {"paraboloid-spot", "opal-globe", "louvred-panel", "glass-lens"};
-        for (int i = 0; i < 4; ++i) {
-            char path[1024];
-            snprintf(path, sizeof(path), "%s/models/%s/%s.gltf", LUMIBOX_BINARY_DIR, LAMPS[i], LAMPS[i]);
-            bench_lamp(path, json, &first);
-        }
-    }
+    char **paths = argv + 1 + json;
+    const int count = argc - 1 - json;
+    printf(json ? "{\"format\": \"lumibox bench tracer 1\", \"results\": ["
+                : "                                     segments  M segments/s                M photons/s   of Embree alone\n"
+                  "lamp              triangles threads  /photon    Embree    tracer    baking    baking    tracer     baking deposit\n");
+    bench_lamps(count, paths, false, json);
+    printf(json ? "\n], \"deposits\": ["
+                : "\n                         M cells         M photons/s          times    time per photon    MB\n"
+                  "lamp              slabs   in all threads    baking   deposit  one thread  of 1/8 run   grown\n");
+    bench_lamps(count, paths, true, json);
     if (json)
         printf("\n]}\n");
     return 0;
