@@ -18,7 +18,8 @@
  * radiance are those of paths followed backwards (viewer), the cross term with the box is the box's mean radiance along the lamp's
  * photons.
  *
- * Usage: test_bench_reconstruction [LAMP|all [photons [cells [judging photons]]]]; a line of JSON for each lamp.
+ * Usage: test_bench_reconstruction [LAMP|all [photons [cells, 0 = as many as the photons are worth [judging photons [sizes of
+ * tables]]]]]; a line of JSON for each lamp.
  */
 #include "bake.h"
 #include "sampler.h"
@@ -136,13 +137,10 @@ static uint32_t whole(double x)
 static table *table_create(const lmg_layout *like, double cells, double split)
 {
     table *t = reserve(1, sizeof *t);
-    for (uint32_t j = 0; j < like->slab_count; j++) {
-        const lmg_slab *s = &like->slabs[j];
-        /* the catch-all slabs below all others are six, of a few cells a side; windows don't reach from -1 to 1 */
-        if (s->s0 != -1 || s->s1 != 1 || s->t0 != -1 || s->t1 != 1 || j + 6 >= like->slab_count || t->slab_count == 6)
-            continue;
-        t->slabs[t->slab_count++] = *s;
-    }
+    /* of each direction the last slab before the six that catch everything else: the wide one, below its window */
+    for (uint32_t j = 0; j + 6 < like->slab_count; j++)
+        if (j + 7 == like->slab_count || v_dot(like->slabs[j].n, like->slabs[j + 1].n) < 1)
+            t->slabs[t->slab_count++] = like->slabs[j];
     for (uint32_t k = 0; k < t->slab_count; k++) {
         lmg_slab *s = &t->slabs[k];
         double each = cells / t->slab_count, uv = sqrt(each) * split, ratio = sqrt((s->u1 - s->u0) / (s->v1 - s->v0));
@@ -491,7 +489,7 @@ static double resolution(const images *reference, int k, double energy, double s
     return sqrt(squares) / energy;
 }
 
-static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_t judging)
+static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_t judging, size_t sizes)
 {
     static const double SPLIT[] = {1.0 / 16, 1.0 / 4, 1, 4, 16, 64}, SIZE[] = {1.0 / 16, 1.0 / 4, 1, 4};
     lmg_error err;
@@ -503,10 +501,12 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     demand(bake_run(l.model, &options, &t.field, &report, &err), &err);
     const lmg_layout *layout = lmg_field_layout(t.field);
     const lmg_ledger ledger = lmg_field_ledger(t.field);
-    uint64_t lit = 0;
-    for (uint32_t j = 0; j < layout->slab_count; j++)
+    uint64_t lit = 0, all = 0;
+    for (uint32_t j = 0; j < layout->slab_count; j++) {
+        all += t.field->slabs[j].cells;
         for (uint64_t i = 0; i < t.field->slabs[j].cells; i++)
             lit += lmg_cell_luminance(t.field, j, i) > 0;
+    }
 
     lmg_vec3 extent = v_sub(l.source->bounds_max, l.source->bounds_min);
     bake_ray_list *list;
@@ -526,9 +526,9 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     t.in.a = t.in.planes[0].a;
     t.in.b = t.in.planes[0].b;
 
-    for (size_t k = 0; k < sizeof SIZE / sizeof *SIZE; k++)
+    for (size_t k = 0; k < sizeof SIZE / sizeof *SIZE && k < sizes; k++)
         for (size_t i = 0; i < sizeof SPLIT / sizeof *SPLIT; i++) {
-            table *made = table_create(layout, SIZE[k] * (double)cells, SPLIT[i]);
+            table *made = table_create(layout, SIZE[k] * (double)all, SPLIT[i]);
             made->side_uv = made->slabs[0].nu;
             made->side_st = made->slabs[0].ns;
             t.tables[t.table_count++] = made;
@@ -592,8 +592,8 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     for (int k = 0; k < PLANES; k++)
         best.planes[k] = INFINITY;
 
-    printf("%s: %.3g photons, %.3g cells asked for, %.3g lit; judged by %.3g photons; sizes, errors in per cent\n%s", name,
-           (double)photons, (double)cells, (double)lit, (double)judging, report.layout_why);
+    printf("%s: %.3g photons, %.3g cells, %.3g lit; judged by %.3g photons; sizes, errors in per cent\n%s", name, (double)photons,
+           (double)cells, (double)lit, (double)judging, report.layout_why);
     printf("%-26s %6g %6g %6g %6g %6g %6g  %6s %6s %6s %6s\n", "", DISTANCE[0], DISTANCE[1], DISTANCE[2], DISTANCE[3], DISTANCE[4],
            DISTANCE[5], "planes", "far", "pictur", "radian");
     for (uint32_t k = 0; k < t.table_count; k++) {
@@ -625,7 +625,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     printf("{\"benchmark\": \"reconstruction\", \"lamp\": \"%s\", \"photons\": %.4g, \"cells\": %.4g, \"planes\": %.5g, "
            "\"far_field\": %.5g, "
            "\"planes_ratio\": %.4g, \"far_field_ratio\": %.4g",
-           name, (double)photons, (double)cells, root(box.near_field), root(box.far_field), ratio[0], ratio[1]);
+           name, (double)photons, (double)all, root(box.near_field), root(box.far_field), ratio[0], ratio[1]);
     if (seen)
         printf(", \"pictures\": %.5g, \"radiance\": %.5g, \"pictures_ratio\": %.4g, \"radiance_ratio\": %.4g", root(box.pictures),
                root(box.radiance), ratio[2], ratio[3]);
@@ -643,10 +643,10 @@ int main(int argc, char **argv)
 {
     static const char *const LAMPS[] = {"paraboloid-spot", "glass-lens", "opal-globe", "louvred-panel", "phosphor-led"};
     const char *wanted = argc > 1 ? argv[1] : "all";
-    const uint64_t photons = argc > 2 ? (uint64_t)atof(argv[2]) : 8000000, cells = argc > 3 ? (uint64_t)atof(argv[3]) : 1000000;
+    const uint64_t photons = argc > 2 ? (uint64_t)atof(argv[2]) : 8000000, cells = argc > 3 ? (uint64_t)atof(argv[3]) : 0;
     const uint64_t judging = argc > 4 ? (uint64_t)atof(argv[4]) : 4000000;
     for (size_t i = 0; i < sizeof LAMPS / sizeof *LAMPS; i++)
         if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i]) == 0)
-            run_lamp(LAMPS[i], photons, cells, judging);
+            run_lamp(LAMPS[i], photons, cells, judging, argc > 5 ? (size_t)atoi(argv[5]) : 4);
     return 0;
 }
