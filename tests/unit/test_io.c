@@ -133,6 +133,32 @@ static void test_compressions(void **in)
     }
 }
 
+/* As many slabs as there can be, each across all those before it: what a made-up file may hold, in a time that its cells don't multiply. */
+static void test_overlapping_slabs(void **in)
+{
+    const state *s = *in;
+    lmg_layout l = {.slab_count = LMG_MAX_SLABS, .channels = 1, .colour = {1, 1, 1}, .bounds_min = {-1, -1, -1}, .bounds_max = {1, 1, 1}, .size = 1};
+    for (uint32_t k = 0; k < LMG_MAX_SLABS; k++) {
+        const double c = cos(0.02 * k), d = sin(0.02 * k);
+        l.slabs[k] = (lmg_slab){.kind = LMG_SLAB_APERTURE, .distance = INFINITY, .o = {0.01 * k, 0.5 + 0.01 * k, 0}, .a = {c, -d, 0}, .b = {0, 0, -1},
+                                .n = {d, c, 0}, .u0 = -1.5, .u1 = 1.5, .v0 = -1.5, .v1 = 1.5, .s0 = -1, .s1 = 1, .t0 = -1, .t1 = 1,
+                                .nu = 3, .nv = 3, .ns = 4, .nt = 4};
+    }
+    lmg_field *field = NULL;
+    assert_int_equal(lmg_field_allocate(&l, &field, NULL), LMG_OK);
+    for (uint32_t k = 0; k < LMG_MAX_SLABS; k++)
+        for (uint64_t cell = 0; cell < field->slabs[k].cells; cell++) {
+            *lmg_cell_radiance(&field->slabs[k], cell) = (float)(1 + cell % 5);
+            field->slabs[k].standard_error[cell] = 0.1f;
+        }
+    assert_int_equal(lmg_field_prepare(field, NULL), LMG_OK);
+    write_ok(field, s->path);
+    lmg_field *back = read_ok(s->path);
+    assert_same(field, back);
+    lmg_field_destroy(back);
+    lmg_field_destroy(field);
+}
+
 static void test_dark_field(void **in)
 {
     const state *s = *in;
@@ -724,6 +750,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(test_round_trip, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_compressions, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_dark_field, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(test_overlapping_slabs, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_same_bytes, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_names, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_truncated, set_up, tear_down),
