@@ -12,6 +12,8 @@
 
 /* Share of the flux left out at either end of a (u,v) rectangle; the slabs below catch it. */
 static const double RECTANGLE_TAIL = 5e-5;
+/* Where a face's light ends is told by so many of its outermost rays, and supposed no farther out than this part of the width. */
+static const double OUTERMOST = 16, UNDISCOVERED = 0.05;
 /* A candidate has to be this much better than what stands, and by three standard errors: dozens are tried, and the luckiest of equals
  * mustn't win. */
 static const double GAIN = 0.97;
@@ -117,6 +119,17 @@ static bool belongs(const lmg_pilot *pl, size_t i, const lmg_choice *c, lmg_vec3
     return c->kind == LMG_SLAB_CUBE ? pl->class[i] == c->class : v_dot(pl->direction[i], n) > 0;
 }
 
+/*
+ * How far beyond the outermost ray light may go on that the pilot didn't meet; gap: between the outermost ray and the OUTERMOST-th.  Where
+ * the number of rays beyond x falls like (end - x)^k, the j-th of them is about j^(1/k) times as far from the end as the first.  At a sharp
+ * edge k is 1; past a globe, where only the most slanting light goes, it is 2.5, rounded up.  Half as much again, since one ray's place is
+ * chance.
+ */
+static double undiscovered(double gap, double width)
+{
+    return d_clamp(1.5 * gap / (cbrt(OUTERMOST) - 1), 0, UNDISCOVERED * width);
+}
+
 /* Fits the (u,v) rectangle at the choice's depth; false when there is no light. */
 static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
 {
@@ -137,10 +150,14 @@ static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
         }
         if (!n)
             return false;
-        lmg_interval q = lmg_quantiles(pl->x, pl->w, n, RECTANGLE_TAIL);
-        /* An opening with an edge: the outermost of all rays is where its edge is, and is taken.  Light that thins out: the quantile. */
-        double width = q.hi - q.lo;
-        double lo = q.least >= q.lo - 0.02 * width ? q.least : q.lo, hi = q.most <= q.hi + 0.02 * width ? q.most : q.hi;
+        bool faces = c->kind == LMG_SLAB_CUBE;
+        lmg_interval q = lmg_quantiles(pl->x, pl->w, n, RECTANGLE_TAIL), outer = faces ? lmg_quantiles(pl->x, pl->w, n, OUTERMOST / (double)n) : q;
+        /* Light with an edge: the outermost of all rays is where its edge is, and is taken.  Light that thins out: the quantile. */
+        double width = q.hi - q.lo, lo = q.lo, hi = q.hi;
+        if (q.least >= q.lo - 0.02 * width)
+            lo = q.least - (faces ? undiscovered(outer.lo - q.least, width) : 0);
+        if (q.most <= q.hi + 0.02 * width)
+            hi = q.most + (faces ? undiscovered(q.most - outer.hi, width) : 0);
         /* Margin: what n rays leave undiscovered of a sharp edge, a few n-ths of the width; never less than the bounds' rounding. */
         double margin = 4.0 / (double)n * (hi - lo) + 1e-7 * v_length(half);
         margin = fmax(margin, 0.5 * (NARROWEST * pl->size - (hi - lo)));

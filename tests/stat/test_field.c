@@ -242,6 +242,40 @@ static void fits_suit_the_lamps(void **state)
 
 /* ------------------------------------------------------------------------------------------------------------ error bars */
 
+/*
+ * Beside a globe there is darkness.  What the six faces leave over is smeared over the coarse slabs' cells, which a view of the globe shows
+ * as grey strips; of 400,000 rays at most a few (a hundred-thousandth) may be left, where a rectangle that ends at the pilot's outermost ray
+ * leaves a hundred.  Of 2000 rays that pass the globe by at a third of its radius (two cells) and more none shows light of more than 1e-4 of it.
+ */
+static void darkness_beside_a_globe(void **state)
+{
+    (void)state;
+    static const double RADIUS = 0.15;
+    lmg_field *field = lamp_field(LAMP_SPHERE, 1, 400000, &(lmg_fit_options){.choice = LMG_LAYOUT_CUBE});
+    const lmg_layout *layout = lmg_field_layout(field);
+    double left = 0, all = 0;
+    for (uint32_t i = 0; i < layout->slab_count; i++) {
+        double flux = lmg_field_slab_flux(field, i, NULL);
+        all += flux;
+        left += i + 6 >= layout->slab_count ? flux : 0;
+    }
+    print_message("flux left to the coarse slabs: %.2g of all\n", left / all);
+    assert_true(left <= 1e-5 * all);
+    lamp_rng rng = lamp_stream(8, 8);
+    int bright = 0;
+    for (int i = 0; i < 2000; i++) {
+        double y = 2 * lamp_next(&rng) - 1, phi = 2 * PI * lamp_next(&rng), r = sqrt(1 - y * y), turn = 2 * PI * lamp_next(&rng);
+        lmg_vec3 d = {r * cos(phi), y, r * sin(phi)}, a = {-sin(phi), 0, cos(phi)}, b = {-y * cos(phi), r, -y * sin(phi)};
+        double off = RADIUS * (1.35 + 0.4 * lamp_next(&rng)), x = off * cos(turn), z = off * sin(turn);
+        lmg_vec3 origin = {2 * d.x + x * a.x + z * b.x, 2 * d.y + x * a.y + z * b.y, 2 * d.z + x * a.z + z * b.z};
+        float rgb[3];
+        lmg_field_radiance(field, origin, d, LMG_LINEAR, rgb, NULL);
+        bright += (double)lmg_luminance(rgb) > 1e-4 * all / (4 * PI * PI * RADIUS * RADIUS);
+    }
+    assert_int_equal(bright, 0);
+    lmg_field_destroy(field);
+}
+
 /* The spread over many bakes is what the standard errors say: for cells pooled, fluxes of slabs, illuminance and intensity. */
 static void error_bars_are_honest(void **state)
 {
@@ -882,6 +916,7 @@ int main(void)
         cmocka_unit_test(cells_blur_less_than_two_percent),
         cmocka_unit_test(openings_are_found),
         cmocka_unit_test(fits_suit_the_lamps),
+        cmocka_unit_test(darkness_beside_a_globe),
         cmocka_unit_test(error_bars_are_honest),
         cmocka_unit_test(illuminance_is_the_integral_of_radiance),
         cmocka_unit_test(illuminance_skips_only_darkness),
