@@ -57,11 +57,11 @@ static bool fill_triangle(const lum_model *model, uint32_t index, lum_triangle *
     double margin = twice_area > 0 ? 4 * error * longest / twice_area : 0.25;
     out->error = nextafterf((float)error, INFINITY);
     out->margin = (float)(margin < 0.25 ? margin : 0.25);
-    out->flat_edges = 0; /* filled by mark_flat_edges */
+    out->edges = 0; /* filled by note_edges */
     return twice_area > 0;
 }
 
-/* Triangles that meet at an edge, as far as mark_flat_edges cares: more than two make no flat edge. */
+/* Triangles that meet at an edge, as far as note_edges cares: of more than two nothing is noted. */
 typedef struct edge_slot {
     uint32_t count;
     uint32_t edge[2]; /* 3 * triangle + corner opposite the edge */
@@ -83,12 +83,59 @@ static void edge_ends(const lum_triangle *tri, uint32_t corner, float ends[6])
     }
 }
 
-static void mark_pair(lum_scene *scene, const edge_slot *slot, bool flat)
+static void mark_flat(lum_scene *scene, const edge_slot *slot)
 {
     for (int i = 0; i < 2; i++) {
-        uint32_t *flags = &scene->triangles[slot->edge[i] / 3].flat_edges, bit = 1u << slot->edge[i] % 3;
-        *flags = flat ? *flags | bit : *flags & ~bit;
+        scene->triangles[slot->edge[i] / 3].edges |= 1u << slot->edge[i] % 3;
     }
+}
+
+/* The direction from an edge into its triangle, in the frame of an edge of triangle a: x into a, y its normal. */
+static void into_triangle(const lum_triangle *a, uint32_t i, lmg_vec3 towards, double *x, double *y)
+{
+    lmg_vec3 n = vec_from_float(a->ng), from = vec_from_float(a->v[(i + 1) % 3]);
+    lmg_vec3 inward = vec_cross(n, vec_unit(vec_sub(vec_from_float(a->v[(i + 2) % 3]), from)));
+    lmg_vec3 w = vec_sub(towards, from);
+    *x = vec_dot(w, inward);
+    *y = vec_dot(w, n);
+}
+
+/* Notes the angle from each of the two triangles at an edge to the other: 1 .. LUM_FOLD_STEPS for 0 .. 360 degrees. */
+static void note_folds(lum_scene *scene, const edge_slot *slot)
+{
+    for (int i = 0; i < 2; i++) {
+        lum_triangle *a = &scene->triangles[slot->edge[i] / 3];
+        const lum_triangle *b = &scene->triangles[slot->edge[1 - i] / 3];
+        double x, y;
+        into_triangle(a, slot->edge[i] % 3, vec_from_float(b->v[slot->edge[1 - i] % 3]), &x, &y);
+        double turn = atan2(y, x) / (2 * LUM_PI);
+        uint32_t code = 1 + (uint32_t)((turn < 0 ? turn + 1 : turn) * (LUM_FOLD_STEPS - 1) + 0.5);
+        a->edges |= code << (3 + LUM_FOLD_BITS * (slot->edge[i] % 3));
+    }
+}
+
+static void forget_edges(lum_scene *scene, const edge_slot *slot)
+{
+    for (int i = 0; i < 2; i++) {
+        uint32_t k = slot->edge[i] % 3;
+        scene->triangles[slot->edge[i] / 3].edges &= ~(1u << k | (uint32_t)LUM_FOLD_STEPS << (3 + LUM_FOLD_BITS * k));
+    }
+}
+
+/*
+ * Whether a ray in direction d sees both triangles at the edge opposite vertex k on the same side of it: then one that passes the
+ * edge by meets neither of them.  False where that isn't known.
+ */
+static bool is_outline(const lum_triangle *tri, int k, lmg_vec3 d)
+{
+    uint32_t code = tri->edges >> (3 + LUM_FOLD_BITS * k) & LUM_FOLD_STEPS;
+    if (code == 0) {
+        return false;
+    }
+    double s, c, x, y;
+    sincos_turns((double)(code - 1) / (LUM_FOLD_STEPS - 1), &s, &c);
+    into_triangle(tri, (uint32_t)k, vec_add(vec_from_float(tri->v[(k + 1) % 3]), d), &x, &y);
+    return y * (y * c - x * s) > 0;
 }
 
 /* Whether the second triangle of an edge is folded back onto the side where the first one lies, like the two sides of a sheet. */
@@ -104,12 +151,12 @@ static bool lies_folded(const lum_scene *scene, const edge_slot *slot)
 }
 
 /*
- * Finds the edges where exactly two triangles go on almost in one plane (within 8 degrees).  There an origin that stands off one
- * triangle stands off the other as well (by at least 0.99 of it), so hits need no distance from the edge; and in the acute corner
- * of a long thin triangle there would be no room for it: a hit would be moved far along the triangle.  Edges are matched by
- * position.
+ * Looks at the edges where exactly two triangles meet, matched by position: how they are folded, and where they go on almost in one
+ * plane (within 8 degrees).  There an origin that stands off one triangle stands off the other as well (by at least 0.99 of it), so
+ * hits need no distance from the edge; and in the acute corner of a long thin triangle there would be no room for it: a hit would
+ * be moved far along the triangle.
  */
-static bool mark_flat_edges(lum_scene *scene, uint32_t count)
+static bool note_edges(lum_scene *scene, uint32_t count)
 {
     size_t slots = 64;
     while (slots < (size_t)count * 6) {
@@ -143,12 +190,13 @@ static bool mark_flat_edges(lum_scene *scene, uint32_t count)
         }
         slot->count += slot->count < 3;
         if (slot->count == 2) {
+            note_folds(scene, slot);
             const float *m = scene->triangles[slot->edge[0] / 3].ng, *n = scene->triangles[e / 3].ng;
-            if (fabsf(m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) > 0.99f) {
-                mark_pair(scene, slot, !lies_folded(scene, slot));
+            if (fabsf(m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) > 0.99f && !lies_folded(scene, slot)) {
+                mark_flat(scene, slot);
             }
         } else if (slot->count == 3) {
-            mark_pair(scene, slot, false);
+            forget_edges(scene, slot);
         }
     }
     free(table);
@@ -192,7 +240,7 @@ lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *
         fill_triangle(model, i, &scene->triangles[i], scene->normals[i]);
         smooth += scene->triangles[i].material >> 31;
     }
-    if (!mark_flat_edges(scene, count)) {
+    if (!note_edges(scene, count)) {
         result = lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for %u triangles", count);
         goto cleanup;
     }
@@ -303,15 +351,53 @@ static inline void set_ray(struct RTCRay *ray, lmg_vec3 o, lmg_vec3 d, float nea
     ray->flags = 0;
 }
 
+/* Of a ray that misses the triangle, its barycentrics b0, *b1, *b2 tell beyond which edges: the nearest point of these, as *b1 and
+ * *b2, its place along the ray and its distance from it.  s: from the first corner to the ray's origin.  *edge: which one, -1 where
+ * that is a corner. */
+static double nearest_edge_point(lmg_vec3 s, lmg_vec3 e1, lmg_vec3 e2, lmg_vec3 d, double b0, double *b1, double *b2, double *along,
+                                 int *edge)
+{
+    const lmg_vec3 corner[3] = {{0, 0, 0}, e1, e2};
+    const double b[3] = {b0, *b1, *b2};
+    double least = (double)INFINITY;
+    *along = 0;
+    *edge = -1;
+    for (int k = 0; k < 3; k++) {
+        if (b[k] >= 0) {
+            continue;
+        }
+        int from = (k + 1) % 3, to = (k + 2) % 3;
+        lmg_vec3 e = vec_sub(corner[to], corner[from]), w = vec_sub(s, corner[from]);
+        lmg_vec3 across = vec_along(e, d, -vec_dot(e, d)); /* as seen along the ray */
+        double x = vec_dot(w, across) / vec_dot(across, across);
+        x = x > 0 ? x < 1 ? x : 1 : 0; /* NaN, of an edge along the ray: 0 */
+        w = vec_along(w, e, -x);
+        double t = -vec_dot(w, d), off = vec_length(vec_along(w, d, t));
+        if (off < least) {
+            least = off;
+            *along = t;
+            *edge = x > 0 && x < 1 ? k : -1;
+            double c[3] = {0, 0, 0};
+            c[from] = 1 - x;
+            c[to] = x;
+            *b1 = c[1];
+            *b2 = c[2];
+        }
+    }
+    return least;
+}
+
 /*
- * The triangle again, in double [moller1997triangle].  u, v: Embree's barycentrics.  Returns whether the ray truly meets it.
+ * The triangle again, in double [moller1997triangle].  Returns whether the ray truly meets it.
  *
  * Embree decides in float and (robust mode) in favour of a hit, so near an edge the exact point may lie slightly outside.  Then the
- * point that Embree names, which is inside, is accepted if the ray passes it within the rounding of Embree's input: origin and
- * direction rounded to float displace the ray by sqrt(3) u (|o| + t), its edge functions add some roundings of differences up to M
- * + |o|: 32 u covers both.
+ * point of the edge that the ray passes closest is taken, if that is within the rounding of Embree's input: origin and direction
+ * rounded to float displace the ray by sqrt(3) u (|o| + t), its edge functions add some roundings of differences up to M + |o|: 32
+ * u covers both.  (The point that Embree names is off by as much as the triangle is thin.)  Not so at the outline of a body, where
+ * the other triangle lies behind the first one: light that just passes it by goes on, or it would be held to have met the second
+ * one without the first.
  */
-static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, float u, float v, lum_hit *hit)
+static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, lum_hit *hit)
 {
     lmg_vec3 a = vec_from_float(tri->v[0]);
     lmg_vec3 e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
@@ -324,13 +410,10 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
     double margin = (double)tri->margin, b0 = 1 - b1 - b2;
     if (!(b1 >= margin && b2 >= margin && b0 >= margin)) {
         if (!(b1 >= 0 && b2 >= 0 && b0 >= 0)) {
-            b1 = (double)u;
-            b2 = (double)v;
-            lmg_vec3 w = vec_along(vec_along(s, e1, -b1), e2, -b2); /* from the point to the origin */
-            double along = -vec_dot(w, d);
-            double off = vec_length(vec_along(w, d, along));
+            int edge;
+            double along, off = nearest_edge_point(s, e1, e2, d, b0, &b1, &b2, &along, &edge);
             double reach = (double)tri->error + 32 * LUM_FLOAT_ROUNDING * (fabs(o.x) + fabs(o.y) + fabs(o.z) + along);
-            if (!(along > 0 && off <= reach)) {
+            if (!(along > 0 && off <= reach) || (edge >= 0 && is_outline(tri, edge, d))) {
                 return false;
             }
             t = along;
@@ -339,9 +422,9 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
          * go as one over the edges' lengths.  (One margin for all would move a hit on a long thin triangle far along it.) */
         double l0 = vec_length(vec_sub(e2, e1)), l1 = vec_length(e2), l2 = vec_length(e1);
         double per_length = margin / fmax(l0, fmax(l1, l2));
-        double m0 = tri->flat_edges & 1 ? 0 : per_length * l0;
-        double m1 = tri->flat_edges & 2 ? 0 : per_length * l1;
-        double m2 = tri->flat_edges & 4 ? 0 : per_length * l2;
+        double m0 = tri->edges & 1 ? 0 : per_length * l0;
+        double m1 = tri->edges & 2 ? 0 : per_length * l1;
+        double m2 = tri->edges & 4 ? 0 : per_length * l2;
         b1 = fmax(b1, m1);
         b2 = fmax(b2, m2);
         double excess = b1 + b2 - (1 - m0);
@@ -390,7 +473,7 @@ static inline bool settle(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 dire
     float near = 0;
     do {
         hit->triangle = rayhit->hit.primID;
-        if (confirm_hit(&scene->triangles[rayhit->hit.primID], origin, direction, rayhit->hit.u, rayhit->hit.v, hit)) {
+        if (confirm_hit(&scene->triangles[rayhit->hit.primID], origin, direction, hit)) {
             return true;
         }
         /* Not met in truth.  It was the closest that Embree found, so all others lie beyond. */
@@ -425,7 +508,8 @@ static inline void intersect_all(const lum_scene *scene, size_t count, const lmg
     }
 }
 
-void lum_scene_intersect_many(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions, lum_hit *hits)
+void lum_scene_intersect_many(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions,
+                              lum_hit *hits)
 {
     intersect_all(scene, count, origins, directions, NULL, hits);
 }
@@ -444,7 +528,7 @@ bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direct
     lum_hit hit;
     float near = 0, far = nextafterf((float)distance, INFINITY);
     while (trace(scene, origin, direction, near, far, &rayhit)) {
-        if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, rayhit.hit.u, rayhit.hit.v, &hit)) {
+        if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, &hit)) {
             /* Hits are exact, so what is closer than the end by an origin's offset is in between. */
             return hit.t < distance - hit.error;
         }

@@ -10,7 +10,9 @@
 
 enum {
     LUM_TRIANGLE_SMOOTH = 1u << 31, /* in lum_triangle.material: the vertex normals differ from the face's */
-    LUM_TRIANGLE_MATERIAL = 0x7fffffff
+    LUM_TRIANGLE_MATERIAL = 0x7fffffff,
+    LUM_FOLD_BITS = 9,
+    LUM_FOLD_STEPS = (1 << LUM_FOLD_BITS) - 1
 };
 
 /* All that a hit needs of a triangle, in one cache line. */
@@ -20,7 +22,8 @@ typedef struct lum_triangle {
     uint32_t material;   /* index | LUM_TRIANGLE_SMOOTH */
     float error;         /* lum_hit.error: see lum_triangle_error */
     float margin;        /* largest barycentric distance that hits keep from the edges: see lum_triangle_error */
-    uint32_t flat_edges; /* bit i: the edge opposite vertex i is flat (mark_flat_edges); hits may lie on it */
+    uint32_t edges;      /* of the edge opposite vertex i: bit i, it is flat, hits may lie on it; from bit 3 + LUM_FOLD_BITS i on, how
+                            the surface goes on there (scene.c: note_edges) */
 } lum_triangle;
 
 /* What lum_surface_at knows of a material before it sees the hit. */

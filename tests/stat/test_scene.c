@@ -255,6 +255,29 @@ static void nothing_to_hit(void **state)
     free_model(model);
 }
 
+/* A plate whose large faces are strips 2,500 times as long as wide: Embree's barycentrics are off by many roundings along them, so
+ * that a ray between two triangles isn't where Embree says that it meets either. */
+static void thin_triangles_hold(void **state)
+{
+    (void)state;
+    enum { STRIPS = 100 };
+    lum_model *model = make_model();
+    uint32_t wall = make_lambert(model, 1);
+    const double l = 0.15, t = 0.004, w = 0.00012;
+    for (int i = 0; i < STRIPS; i++) {
+        const double z = -0.1 + i * w;
+        make_quad(model, (lmg_vec3){-l, 0, z}, (lmg_vec3){0, 0, w}, (lmg_vec3){2 * l, 0, 0}, 1, wall);
+        make_quad(model, (lmg_vec3){-l, t, z}, (lmg_vec3){2 * l, 0, 0}, (lmg_vec3){0, 0, w}, 1, wall);
+        make_quad(model, (lmg_vec3){-l, 0, z}, (lmg_vec3){0, t, 0}, (lmg_vec3){0, 0, w}, 1, wall);
+        make_quad(model, (lmg_vec3){l, 0, z}, (lmg_vec3){0, 0, w}, (lmg_vec3){0, t, 0}, 1, wall);
+    }
+    make_quad(model, (lmg_vec3){-l, 0, -0.1}, (lmg_vec3){2 * l, 0, 0}, (lmg_vec3){0, t, 0}, 1, wall);
+    make_quad(model, (lmg_vec3){-l, 0, -0.1 + STRIPS * w}, (lmg_vec3){0, t, 0}, (lmg_vec3){2 * l, 0, 0}, 1, wall);
+    finish_model(model);
+    report("plate of strips", bounce(model, (lmg_vec3){0.01, 0.002, -0.094}, BOUNCES, 15, UINT32_MAX, true));
+    free_model(model);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -265,6 +288,7 @@ int main(void)
         cmocka_unit_test(closed_spheres_keep_light),
         cmocka_unit_test(thin_shells_hold),
         cmocka_unit_test(acute_edges_hold),
+        cmocka_unit_test(thin_triangles_hold),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
