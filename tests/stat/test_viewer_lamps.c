@@ -158,7 +158,7 @@ static void dispersion(void **state)
     (void)state;
     static const plane P[] = {{{-0.01, -0.05, -0.01}, {0, 0, 0.02}, {0.02, 0, 0}},
                               {{0.005, -0.04, -0.002}, {0, 0, 0.004}, {0.002, 0, 0}}};
-    compare("glass-lens", "glass:Glass=N-SF11", 300000, 300000, P, 2);
+    compare("glass-lens", "glass:Glass=N-SF11", 1500000, 400000, P, 2);
 }
 
 int main(void)
