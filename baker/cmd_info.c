@@ -5,6 +5,7 @@
 #include "info_photometry.h"
 
 #include <luminaires/photometry.h>
+#include <luminaires/spectrum.h>
 
 #include <errno.h>
 #include <inttypes.h>
@@ -20,10 +21,10 @@ static const struct argp_option OPTIONS[] = {
     {0},
 };
 
-static const char DOC[] =
-    "Says what is in a box of light: layout, planes, size, where the light went (with standard errors), effects, provenance. Of a photometric "
-    "file (.ies, .ldt, .xml): its grid, shape, flux, zones and beam."
-    "\vExample:\n  lumibake info lamp.box.exr";
+static const char DOC[] = "Says what is in a box of light: layout, planes, size, where the light went (with standard errors), "
+                          "effects, provenance. Of a photometric "
+                          "file (.ies, .ldt, .xml): its grid, shape, flux, zones and beam."
+                          "\vExample:\n  lumibake info lamp.box.exr";
 
 typedef struct command {
     const char *box;
@@ -89,6 +90,51 @@ static json_t *slab_json(const lmg_field *field, uint32_t i)
     return o;
 }
 
+/* Colour of all light together, at luminance 1: that of the layout, or the mean of rays that the box emits, spread evenly by the
+ * additive recurrence of the root of x^6 = x + 1. */
+static void colour_of_light(const lmg_field *field, double rgb[3])
+{
+    enum { RAYS = 65536 };
+    const lmg_layout *y = lmg_field_layout(field);
+    const double root = 1.13472413840151949;
+    for (int k = 0; k < 3; ++k)
+        rgb[k] = y->channels == 1 ? (double)y->colour[k] : 0;
+    for (int i = 0; y->channels == 3 && i < RAYS; ++i) {
+        double xi[5], step = 1;
+        for (int k = 0; k < 5; ++k) {
+            step /= root;
+            xi[k] = fmod(0.5 + i * step, 1);
+        }
+        lmg_ray ray;
+        if (lmg_field_emit(field, xi, &ray))
+            for (int k = 0; k < 3; ++k)
+                rgb[k] += (double)ray.flux[k] / RAYS;
+    }
+}
+
+static json_t *colour_json(const lmg_field *field)
+{
+    double rgb[3], xyz[3], xy[2], uv[2], kelvin, duv;
+    colour_of_light(field, rgb);
+    lum_rgb_to_xyz(rgb, xyz);
+    lum_chromaticity(xyz, xy, uv);
+    const bool white = lum_cct(xyz, &kelvin, &duv) && fabs(duv) <= LUM_CCT_LIMIT;
+    return json_pack("{s:[o,o], s:o, s:o}", "xy", json_number(xy[0]), json_number(xy[1]), "cct_K",
+                     white ? json_number(kelvin) : json_null(), "duv", white ? json_number(duv) : json_null());
+}
+
+static void print_colour(const lmg_field *field)
+{
+    double rgb[3], xyz[3], xy[2], uv[2], kelvin, duv;
+    colour_of_light(field, rgb);
+    lum_rgb_to_xyz(rgb, xyz);
+    lum_chromaticity(xyz, xy, uv);
+    printf("  colour    x %.4f, y %.4f", xy[0], xy[1]);
+    if (lum_cct(xyz, &kelvin, &duv) && fabs(duv) <= LUM_CCT_LIMIT)
+        printf(": %.0f K, duv %+.4f", kelvin, duv);
+    putchar('\n');
+}
+
 static json_t *info_json(const command *c, const lmg_field *field, uint64_t bytes)
 {
     const lmg_layout *y = lmg_field_layout(field);
@@ -120,10 +166,12 @@ static json_t *info_json(const command *c, const lmg_field *field, uint64_t byte
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "memory", json_integer((json_int_t)lmg_field_memory(field)));
     const lmg_rounding lost = lmg_field_rounding(field);
-    json_object_set_new(o, "rounding", json_pack("{s:o, s:o}", "loss", json_number(lost.loss), "half_loss", json_number(lost.half_loss)));
+    json_object_set_new(o, "rounding",
+                        json_pack("{s:o, s:o}", "loss", json_number(lost.loss), "half_loss", json_number(lost.half_loss)));
     json_object_set_new(o, "ledger", ledger);
     json_object_set_new(o, "channels", json_integer(y->channels));
     json_object_set_new(o, "colour", json_pack("[f,f,f]", (double)y->colour[0], (double)y->colour[1], (double)y->colour[2]));
+    json_object_set_new(o, "colour_of_light", box_is_photometric(field) ? colour_json(field) : json_null());
     json_object_set_new(o, "bounds_min_m", json_vec(y->bounds_min));
     json_object_set_new(o, "bounds_max_m", json_vec(y->bounds_max));
     json_object_set_new(o, "size_m", json_number(y->size));
@@ -158,7 +206,8 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
     const lmg_ledger l = lmg_field_ledger(field);
     const char *unit = flux_unit(field);
     const lmg_rounding lost = lmg_field_rounding(field);
-    printf("%s: %.2f MB, %.1f MB in memory while rendering\n", c->box, 1e-6 * (double)bytes, 1e-6 * (double)lmg_field_memory(field));
+    printf("%s: %.2f MB, %.1f MB in memory while rendering\n", c->box, 1e-6 * (double)bytes,
+           1e-6 * (double)lmg_field_memory(field));
     if (lost.loss > 0 || lost.half_loss > 0)
         printf("cells rounded: RMS %.2g of their standard errors, halves %.2g\n", lost.loss, lost.half_loss);
     else
@@ -172,7 +221,10 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
     printf("\nLight field: %u slabs, %s, size %.4g m\n", y->slab_count, y->channels == 1 ? "one colour" : "R,G,B", y->size);
     printf("  bounds    %.5g %.5g %.5g to %.5g %.5g %.5g m\n", y->bounds_min.x, y->bounds_min.y, y->bounds_min.z, y->bounds_max.x,
            y->bounds_max.y, y->bounds_max.z);
-    printf("  slab kind     normal                 (u,v) plane at         u x v m              cells (u v s t)     flux %s\n", unit);
+    if (box_is_photometric(field))
+        print_colour(field);
+    printf("  slab kind     normal                 (u,v) plane at         u x v m              cells (u v s t)     flux %s\n",
+           unit);
     for (uint32_t i = 0; i < y->slab_count; ++i) {
         const lmg_slab *s = &y->slabs[i];
         double error;

@@ -4,6 +4,8 @@
 
 #include "table.h"
 
+#include <luminaires/spectrum.h>
+
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
@@ -146,9 +148,14 @@ static json_t *readings_json(const command *c, const table *t, const reading *re
         for (size_t k = 0; k < t->columns; ++k)
             json_array_append_new(input, json_real(t->values[i * t->columns + k]));
         const reading *r = &readings[i];
-        json_array_append_new(rows, json_pack("{s:o, s:o, s:o, s:[o,o,o]}", "input", input, "value", json_number(r->value),
-                                              "standard_error", json_number(r->standard_error), "rgb", json_number(r->rgb[0]),
-                                              json_number(r->rgb[1]), json_number(r->rgb[2])));
+        double xyz[3], kelvin, duv;
+        lum_rgb_to_xyz(r->rgb, xyz);
+        const bool white = c->photometric && r->value > 0 && lum_cct(xyz, &kelvin, &duv) && fabs(duv) <= LUM_CCT_LIMIT;
+        json_array_append_new(rows,
+                              json_pack("{s:o, s:o, s:o, s:[o,o,o], s:o, s:o}", "input", input, "value", json_number(r->value),
+                                        "standard_error", json_number(r->standard_error), "rgb", json_number(r->rgb[0]),
+                                        json_number(r->rgb[1]), json_number(r->rgb[2]), "cct_K",
+                                        white ? json_number(kelvin) : json_null(), "duv", white ? json_number(duv) : json_null()));
     }
     return json_pack("{s:s, s:s, s:s, s:s, s:s, s:o}", "format", "lumibake probe 1", "box", c->box, "quantity",
                      c->mode->quantity[c->photometric], "unit", c->mode->unit[c->photometric], "columns", c->mode->names, "rows",

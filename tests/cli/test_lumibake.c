@@ -200,6 +200,8 @@ static void test_bake_summary_and_flux(void **state)
     assert_string_equal(json_string_value(json_object_get(texts, "seed")), "1");
     assert_non_null(strstr(json_string_value(json_object_get(texts, "settings")), "1234"));
     assert_non_null(strstr(json_string_value(json_object_get(texts, "effects")), "area-emission"));
+    /* R = G = B is D65, 6504 K and 0.0032 above the black bodies */
+    assert_true(fabs(number_at(j, "colour_of_light", "cct_K") - 6504) < 3 && fabs(number_at(j, "colour_of_light", "duv") - 0.0032) < 1e-4);
     json_decref(j);
     release(&o);
 
@@ -278,7 +280,9 @@ static void test_probe(void **state)
     assert_int_equal(o.code, 0);
     json_t *j = parse_json(o.out);
     assert_int_equal(json_array_size(json_object_get(j, "rows")), 3);
-    assert_int_equal(json_array_size(json_object_get(json_array_get(json_object_get(j, "rows"), 0), "rgb")), 3);
+    json_t *row = json_array_get(json_object_get(j, "rows"), 0);
+    assert_int_equal(json_array_size(json_object_get(row, "rgb")), 3);
+    assert_true(fabs(number_at(row, "cct_K", NULL) - 6504) < 3);
     json_decref(j);
     release(&o);
 

@@ -103,6 +103,7 @@ bool lum_spectrum_rgb(const lum_spectrum *s, double rgb[3]);
  * positive above the locus (towards green), as ANSI C78.377 has it.  Found by search on the exact locus, to 1e-6 in reciprocal
  * temperature (MK^-1 x 1e6).  False outside 1000 .. 25000 K or |duv| > 0.05, where the CIE doesn't define it. */
 bool lum_cct(const double xyz[3], double *kelvin, double *duv);
+#define LUM_CCT_LIMIT 0.05 /* of duv: light farther from the locus has no colour temperature to speak of (CIE 15:2004) */
 
 /* CIE 1931 x, y and CIE 1976 u', v'. */
 void lum_chromaticity(const double xyz[3], double xy[2], double uv[2]);
