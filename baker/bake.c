@@ -145,6 +145,8 @@ typedef struct bake {
     bake_source *tracer_of_all; /* with every effect of the model */
     bake_source *tracer;        /* with those that the plan simulates */
     bake_ray_list *pilot; /* NULL when resumed */
+    bake_tally pilot_tally;
+    double gather_share; /* of the time, that gathering will take */
     bake_part *part;
     bake_part *resume; /* what part is to become; NULL when it has */
     bake_report *report;
@@ -179,6 +181,7 @@ static lmg_result run_pilot(bake *b, double seconds, lmg_error *err)
         result =
             b->tracer->run(b->tracer, BAKE_PILOT_FIRST + tally.photons, wanted - tally.photons, o->threads, &sink, 1, &tally, err);
     b->part->pilot_photons = tally.photons;
+    b->pilot_tally = tally;
     if (result != LMG_OK)
         return result;
 
@@ -432,6 +435,28 @@ static lmg_result choose_cells(bake *b, double seconds, lmg_fit_options *fit, ch
     return LMG_OK;
 }
 
+/* Decides how many rays are traced backwards. */
+static lmg_result decide_gathering(bake *b, const lmg_layout *layout, double seconds, lmg_error *err)
+{
+    const bake_options *o = b->options;
+    size_t count;
+    const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
+    const double rate = (double)b->pilot_tally.photons / b->report->pilot_seconds;
+    const double photons = o->photons > 0 ? (double)(o->whole > 0 ? o->whole : o->photons) : rate * seconds;
+    bake_gather_plan plan;
+    lmg_result result = bake_gather_decide(b->tracer, layout, rays, count, &b->pilot_tally, photons, o->rays_per_photon, o->seed,
+                                           o->threads, &plan, err);
+    if (result != LMG_OK)
+        return result;
+    snprintf(b->report->gather_why, sizeof(b->report->gather_why), "%s", plan.why);
+    if (!(plan.rays_per_photon > 0))
+        return LMG_OK;
+    b->gather_share = plan.rays_per_photon * plan.cost / (1 + plan.rays_per_photon * plan.cost);
+    char text[32];
+    snprintf(text, sizeof(text), "%.17g", plan.rays_per_photon);
+    return bake_part_set_text(b->part, PART_GATHER, text, err);
+}
+
 /* Pilot and layout of a bake that starts. */
 static lmg_result begin_part(bake *b, double seconds, lmg_error *err)
 {
@@ -457,6 +482,8 @@ static lmg_result begin_part(bake *b, double seconds, lmg_error *err)
         snprintf(both, sizeof(both), "%s%s", cells, why);
     if (result == LMG_OK)
         result = measure_noise(b, &layout, err);
+    if (result == LMG_OK && b->options->rays_per_photon != 0)
+        result = decide_gathering(b, &layout, seconds, err);
     if (result == LMG_OK)
         result = bake_part_set_text(b->part, PART_PILOT_PHOTONS, pilot, err);
     if (result == LMG_OK)
@@ -487,6 +514,13 @@ static lmg_result resume_part(bake *b, lmg_error *err)
     bake_part_destroy(self);
     b->part = old;
     b->resume = NULL;
+    if (o->rays_per_photon >= 0) { /* else as the pilot said */
+        char text[32];
+        snprintf(text, sizeof(text), "%.17g", o->rays_per_photon);
+        result = bake_part_set_text(old, PART_GATHER, o->rays_per_photon > 0 ? text : NULL, err);
+        if (result != LMG_OK)
+            return result;
+    }
     b->report->resumed = old->tally.photons > 0;
     return LMG_OK;
 }
@@ -510,6 +544,32 @@ static lmg_result plan_effects(bake *b, lmg_error *err)
     return result;
 }
 
+/* Traces rays backwards for the photons of the part, if that is decided: *out, NULL if not. */
+static lmg_result gather(bake *b, lmg_gathering **out, lmg_error *err)
+{
+    const bake_part *part = b->part;
+    double flux;
+    *out = NULL;
+    const double rays = part->texts[PART_GATHER] ? strtod(part->texts[PART_GATHER], NULL) : 0;
+    const char *obstacle;
+    if (!(rays > 0) || b->report->interrupted)
+        return LMG_OK;
+    if (!bake_tracer_can_look(b->tracer, &obstacle))
+        return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
+                        "%s: rays can't be traced backwards through a lamp with %s; --photons-only leaves them out", b->model->path,
+                        obstacle);
+    const double began = bake_clock();
+    lmg_result result = bake_part_flux(part, &flux, err);
+    if (result == LMG_OK)
+        result = lmg_gathering_create(part->accumulator, rays, b->options->seed, out, err);
+    if (result == LMG_OK)
+        result = bake_gather_run(b->tracer, *out, flux, b->options->threads, NULL, err);
+    if (result == LMG_OK)
+        b->report->gathered_rays = lmg_gathering_rays(*out);
+    b->report->gather_seconds = bake_clock() - began;
+    return result;
+}
+
 static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
 {
     const bake_options *o = b->options;
@@ -524,7 +584,7 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     if (result == LMG_OK)
         result = b->resume ? resume_part(b, err) : begin_part(b, seconds, err);
     if (result == LMG_OK)
-        result = trace(b, o->photons ? (double)INFINITY : began + seconds - b->part->seconds, err);
+        result = trace(b, o->photons ? (double)INFINITY : began + (seconds - b->part->seconds) * (1 - b->gather_share), err);
     if (result != LMG_OK)
         return result;
 
@@ -535,11 +595,15 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     r->noise = bake_part_noise(part);
     snprintf(r->layout_why, sizeof(r->layout_why), "%s", part->texts[PART_LAYOUT_WHY]);
     r->refused = lmg_accumulator_totals(part->accumulator).refused;
+    lmg_gathering *gathering;
+    result = gather(b, &gathering, err);
     const double reconstruct_began = bake_clock();
-    result = bake_part_flux(part, &r->flux_lm, err);
+    if (result == LMG_OK)
+        result = bake_part_flux(part, &r->flux_lm, err);
     r->lumens_per_photon = r->flux_lm / (double)part->tally.photons;
     if (result == LMG_OK)
-        result = bake_part_field(part, out, err);
+        result = bake_part_field(part, gathering, out, err);
+    lmg_gathering_destroy(gathering);
     if (result == LMG_OK)
         result = measure_bias(b, *out, err);
     r->reconstruct_seconds = bake_clock() - reconstruct_began;

@@ -7,6 +7,7 @@
 #define BAKER_BAKE_H
 
 #include "bias.h"
+#include "gather.h"
 #include "plan.h"
 #include "source.h"
 
@@ -32,6 +33,8 @@ typedef struct bake_options {
     uint64_t whole;         /* photons of the bake that these are a part of, for the size of the pilot; 0 = photons */
     double seconds;         /* of pilot and tracing, when photons is 0; 0 = 60 */
     uint64_t pilot_photons; /* 0 = a twentieth of the bake, within 20,000 and 400,000 */
+    double rays_per_photon; /* traced backwards for each stored photon, once they are traced (gather.h); 0 = photons only, < 0 = as
+                               the pilot says */
     uint64_t seed;
     bool effects_chosen;    /* simulate `effects` (bits of bake_effect) as far as the model has them, instead of what a plan says */
     uint32_t effects;
@@ -60,7 +63,9 @@ typedef struct bake_report {
     double lumens_per_photon;
     uint64_t pilot_photons;
     uint64_t refused; /* rays that the accumulator refused; counted as lost in the ledger */
-    double plan_seconds, pilot_seconds, trace_seconds, reconstruct_seconds;
+    uint64_t gathered_rays; /* traced backwards */
+    char gather_why[200];   /* why so many; "" when it wasn't asked, or decided by an earlier run */
+    double plan_seconds, pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds;
     double noise;     /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */
     bake_bias bias;   /* what the cells smooth, as the pilot's rays see it */
     bake_plan plan;   /* of effects; plan.simulated are those of the box */

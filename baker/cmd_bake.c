@@ -36,6 +36,8 @@ enum {
     KEY_PILOT,
     KEY_EFFECTS,
     KEY_EFFECTS_ERROR,
+    KEY_GATHER,
+    KEY_PHOTONS_ONLY,
     KEY_RESUME,
     KEY_CHECKPOINT,
     KEY_KEEP,
@@ -65,6 +67,9 @@ static const struct argp_option OPTIONS[] = {
     {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
     {"effects", KEY_EFFECTS, "LIST", 0, "auto (as lumibake plan says), all, or effects to simulate", 4},
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving effects out may change (default 0.1%)", 4},
+    {"gather", KEY_GATHER, "R", 0,
+     "rays traced backwards for each photon that leaves, beside the photons (default: as the pilot says)", 4},
+    {"photons-only", KEY_PHOTONS_ONLY, 0, 0, "no rays traced backwards", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
     {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},
@@ -89,7 +94,7 @@ typedef struct command {
     bake_options bake;
     bool resume;
     uint64_t share, shares; /* of --photons: the share-th of shares; 0 = all */
-    bool given_first;
+    bool given_first, photons_only;
     char part[1100]; /* the checkpoint's file */
     bool lossless, quiet, progress, json;
     lmg_rounding lost; /* by rounding the box's cells */
@@ -138,6 +143,14 @@ static void settle_photons(struct argp_state *state, command *c)
             usage_error(state, "--share: too many shares for %" PRIu64 " photons", o->whole);
     }
     o->keep |= c->shares || c->given_first;
+    if (c->photons_only && o->rays_per_photon > 0)
+        usage_error(state, "--gather and --photons-only exclude each other");
+    if ((c->shares || c->given_first) && o->rays_per_photon > 0)
+        usage_error(
+            state,
+            "--gather: a bake in parts is merged without its lamp, of photons only; leave out --gather, or --share and --first");
+    if (c->photons_only || c->shares || c->given_first)
+        o->rays_per_photon = 0;
 }
 
 static void argument_effects(struct argp_state *state, const char *text, bake_options *o)
@@ -201,6 +214,12 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_EFFECTS_ERROR:
         c->bake.effects_error = argument_share(state, "--effects-error", arg);
+        break;
+    case KEY_GATHER:
+        c->bake.rays_per_photon = argument_number(state, "--gather", arg, 1.0 / 64, 64);
+        break;
+    case KEY_PHOTONS_ONLY:
+        c->photons_only = true;
         break;
     case KEY_SEED:
         c->bake.seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
@@ -374,7 +393,10 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     json_object_set_new(o, "lost_inside_photons", json_real(r->tally.lost_inside));
     json_object_set_new(o, "efficiency", json_number((l.stored + l.residual) / l.emitted));
     json_object_set_new(o, "noise", json_number(r->noise));
-    json_object_set_new(o, "bias", json_bias(&r->bias));
+        result = bake_part_field(part, gathering, out, err);
+    lmg_gathering_destroy(gathering);
+    if (result == LMG_OK)
+        result = measure_bias(b, *out, err);
     if (c->target.error > 0)
         json_object_set_new(o, "error", json_pack("{s:s, s:f, s:o, s:o, s:b, s:i}", "of", judge_measure_name(c->target.of), "asked",
                                                   c->target.error, "rms", json_number(c->reached.error.rms), "standard_error",
@@ -389,8 +411,9 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     json_object_set_new(o, "photons_per_second", json_number((double)l.photons / trace));
     json_object_set_new(o, "segments_per_second", json_number((double)r->tally.segments / trace));
     json_object_set_new(o, "seconds",
-                        json_pack("{s:f, s:f, s:f, s:f, s:f}", "plan", r->plan_seconds, "pilot", r->pilot_seconds, "trace", r->trace_seconds, "reconstruct",
-                                  r->reconstruct_seconds, "total", seconds));
+                        json_pack("{s:f, s:f, s:f, s:f, s:f, s:f}", "plan", r->plan_seconds, "pilot", r->pilot_seconds, "trace",
+                                  r->trace_seconds, "gather", r->gather_seconds, "reconstruct", r->reconstruct_seconds, "total",
+                                  seconds));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "bytes_foretold", r->size_foretold > 0 ? json_number(r->size_foretold) : json_null());
     json_object_set_new(o, "rounding", json_pack("{s:o, s:o}", "loss", json_number(c->lost.loss), "half_loss", json_number(c->lost.half_loss)));
@@ -428,7 +451,10 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     }
     printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n",
            l.photons, r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
-    print_bias(&r->bias);
+        result = bake_part_field(part, gathering, out, err);
+    lmg_gathering_destroy(gathering);
+    if (result == LMG_OK)
+        result = measure_bias(b, *out, err);
     if (c->target.error > 0)
         printf("  error     %.3g +- %.2g %% of %s, asked for %.3g %%; found in %u bakes\n", 100 * c->reached.error.rms,
                100 * c->reached.error.standard_error, judge_measure_name(c->target.of), 100 * c->target.error, c->reached.bakes);
@@ -613,7 +639,7 @@ static int bake_or_help(command *c)
 int cmd_bake(int argc, char **argv)
 {
     static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "LAMP -o BOX", .doc = DOC};
-    command c = {.bake = {.seed = 1}};
+    command c = {.bake = {.seed = 1, .rays_per_photon = -1}};
     argp_parse(&ARGP, argc, argv, 0, NULL, &c);
 
     lmg_error err = {{0}};

@@ -122,7 +122,7 @@ int cmd_merge(int argc, char **argv)
         return report_failure(&err);
     result = add_up(&c, &sum, &err);
     if (result == LMG_OK)
-        result = bake_part_field(sum, &field, &err);
+        result = bake_part_field(sum, NULL, &field, &err);
     int code = result == LMG_OK ? EXIT_DONE : report_error(result, &err);
     lmg_rounding lost;
     if (result == LMG_OK && (write_box(field, c.output, c.lossless, &lost, &err) != LMG_OK || (c.keep && bake_part_write(sum, part, &err) != LMG_OK)))

@@ -27,6 +27,7 @@ static const struct {
     [PART_PLAN] = {"effect_plan", "bake all parts with the same program and --effects"},
     [PART_MODEL] = {"model", ""},
     [PART_LAYOUT_WHY] = {"layout_why", ""},
+    [PART_GATHER] = {"gather", ""},
     [PART_WARNINGS] = {"warnings", ""},
 };
 
@@ -235,7 +236,8 @@ static char *ranges_text(const bake_part *part)
 
 /* Says in the field where it comes from; nothing that depends on the machine, the threads or the date, so that files can be
  * compared. */
-static lmg_result add_texts(const bake_part *part, lmg_field *field, lmg_error *err)
+static lmg_result add_texts(const bake_part *part, const lmg_gathering *gathering, double gathered, lmg_field *field,
+                            lmg_error *err)
 {
     char photons[24];
     snprintf(photons, sizeof(photons), "%" PRIu64, part->tally.photons);
@@ -246,13 +248,21 @@ static lmg_result add_texts(const bake_part *part, lmg_field *field, lmg_error *
     if (result == LMG_OK && ranges[0])
         result = lmg_field_set_text(field, "photon_ranges", ranges, err);
     for (int i = 0; result == LMG_OK && i < PART_TEXT_COUNT; ++i)
-        if (part->texts[i])
+        if (part->texts[i] && (i != PART_GATHER || gathering))
             result = lmg_field_set_text(field, TEXTS[i].name, part->texts[i], err);
     free(ranges);
+    if (result == LMG_OK && gathering) {
+        char rays[24], share[24];
+        snprintf(rays, sizeof(rays), "%" PRIu64, lmg_gathering_rays(gathering));
+        snprintf(share, sizeof(share), "%.4f", gathered);
+        result = lmg_field_set_text(field, "gathered_rays", rays, err);
+        if (result == LMG_OK)
+            result = lmg_field_set_text(field, "gathered_flux", share, err);
+    }
     return result;
 }
 
-lmg_result bake_part_field(const bake_part *part, lmg_field **out, lmg_error *err)
+lmg_result bake_part_field(const bake_part *part, const lmg_gathering *gathering, lmg_field **out, lmg_error *err)
 {
     *out = NULL;
     if (part->tally.photons == 0)
@@ -262,9 +272,11 @@ lmg_result bake_part_field(const bake_part *part, lmg_field **out, lmg_error *er
     if (result != LMG_OK)
         return result;
     const lmg_ledger ledger = balance(part, flux);
-    result = lmg_field_reconstruct(part->accumulator, flux / (double)part->tally.photons, &ledger, out, err);
+    double gathered;
+    result = lmg_field_reconstruct_gathered(part->accumulator, flux / (double)part->tally.photons, &ledger, gathering, out,
+                                            &gathered, err);
     if (result == LMG_OK)
-        result = add_texts(part, *out, err);
+        result = add_texts(part, gathering, gathered, *out, err);
     if (result != LMG_OK) {
         lmg_field_destroy(*out);
         *out = NULL;

@@ -28,6 +28,8 @@ typedef enum bake_part_text {
     PART_LAST_SHARED = PART_PLAN,
     PART_MODEL,
     PART_LAYOUT_WHY,
+    PART_GATHER,   /* rays traced backwards for each stored photon, as the pilot said; NULL = none.  They are no part of the part:
+                      whoever has   the lamp traces them for its photons */
     PART_WARNINGS, /* NULL = none */
     PART_TEXT_COUNT
 } bake_part_text;
@@ -72,9 +74,9 @@ lmg_result bake_part_merge(bake_part *part, const char *name, const bake_part *o
 /* What the sources emit after rescaling: lumens.  Errors: LMG_ERROR_INPUT when nothing left although so much is to leave. */
 lmg_result bake_part_flux(const bake_part *part, double *lumens, lmg_error *err);
 
-/* The box of a part: reconstruction, ledger, provenance.  The field is the caller's.  Errors: LMG_ERROR_INPUT when it has no photons
- * or no light leaves. */
-lmg_result bake_part_field(const bake_part *part, lmg_field **out, lmg_error *err);
+/* The box of a part: reconstruction, ledger, provenance.  gathering: what was gathered for it, NULL = photons only.  The field is
+ * the caller's.  Errors: LMG_ERROR_INPUT when it has no photons or no light leaves. */
+lmg_result bake_part_field(const bake_part *part, const lmg_gathering *gathering, lmg_field **out, lmg_error *err);
 
 /* The relative standard error of illuminance one size away, for the part's photons (bake_report.noise). */
 double bake_part_noise(const bake_part *part);

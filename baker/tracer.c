@@ -327,3 +327,41 @@ size_t bake_tracer_record(const bake_source *source, uint64_t first, uint64_t co
     t->kernel->end(&j, worker);
     return j.record_count;
 }
+
+bool bake_tracer_can_look(const bake_source *source, const char **why)
+{
+    /* Points have no radiance; media, phosphors and layers wait for an adjoint that is tested; polarization would have to be known
+     * of light that comes from ahead. */
+    static const bake_effect CANT[] = {
+        BAKE_EMISSION_POINT, BAKE_EMISSION_SPOT, BAKE_EMISSION_PROFILE, BAKE_MEDIUM, BAKE_VOLUMES,    BAKE_DISPERSION, BAKE_SPECTRA,
+        BAKE_FLUORESCENCE,   BAKE_SPECULAR,      BAKE_CLEARCOAT,        BAKE_SHEEN,  BAKE_ANISOTROPY, BAKE_IRIDESCENCE};
+    const tracer *t = (const tracer *)source;
+    const uint32_t effects = bake_effects_of(t->model);
+    bake_effect in_the_way = t->polarized ? BAKE_POLARIZATION : BAKE_EFFECT_COUNT;
+    for (size_t i = 0; i < sizeof(CANT) / sizeof(CANT[0]); ++i)
+        if (effects & 1u << CANT[i])
+            in_the_way = CANT[i];
+    if (in_the_way != BAKE_EFFECT_COUNT && why)
+        *why = bake_effect_name(in_the_way);
+    return in_the_way == BAKE_EFFECT_COUNT;
+}
+
+double bake_tracer_emission(const bake_source *source)
+{
+    return lum_emitters_flux(((const tracer *)source)->emitters, NULL);
+}
+
+bool bake_tracer_look(const bake_source *source, const lmg_ray *rays, size_t count, float (*radiance)[3], uint64_t *segments)
+{
+    const tracer_kernel *k = &tracer_kernel_backward;
+    tracer_job j = {.tracer = (const tracer *)source, .rays = rays, .radiance = radiance, .trap_taken = ATOMIC_FLAG_INIT};
+    void *worker = k->begin(&j);
+    if (!worker)
+        return false;
+    for (size_t i = 0; i < count; i += BAKE_CHUNK)
+        k->chunk(&j, worker, i, count - i < BAKE_CHUNK ? count - i : BAKE_CHUNK);
+    k->end(&j, worker);
+    if (segments)
+        *segments += (uint64_t)j.counts.segments;
+    return !atomic_load(&j.stopped);
+}

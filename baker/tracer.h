@@ -33,4 +33,19 @@ typedef struct bake_survey {
 lmg_result bake_tracer_survey(const bake_source *tracer, uint64_t first, uint64_t count, unsigned threads, bake_survey *survey,
                               lmg_error *err);
 
+/*
+ * What an eye outside sees along rays of light (of any origin on their way outside the model; direction of travel, luminaire
+ * frame): paths traced backwards into the lamp, each an unbiased estimate of the radiance along its ray, R,G,B in cd/m2 of the
+ * model's own emission.  Random numbers are keyed by the tracer's seed and ray.number.  Runs on the calling thread.  segments (may
+ * be NULL): added to. Only if bake_tracer_can_look.  False: out of memory, or light is trapped.
+ */
+bool bake_tracer_look(const bake_source *tracer, const lmg_ray *rays, size_t count, float (*radiance)[3], uint64_t *segments);
+
+/* Lumens that the model emits by itself, to which such radiance belongs. */
+double bake_tracer_emission(const bake_source *tracer);
+
+/* Whether paths traced backwards see all light of this tracer's model: exact adjoints are known for its effects, and eyes meet its
+ * emitters.  If not, *why (may be NULL) names the effect in the way. */
+bool bake_tracer_can_look(const bake_source *tracer, const char **why);
+
 #endif

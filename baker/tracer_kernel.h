@@ -18,6 +18,10 @@
  *
  * survivors() turns any loss into whole photons; of light by wavelength, survives().  Numbers are drawn where a model needs them,
  * never by feature.
+ *
+ * With TRACER_BACKWARD a path is what an eye outside sees along a ray: it runs against the light, its colour is what of the
+ * radiance ahead arrives at the eye, and meet() adds what a surface emits.  By reciprocity the same scattering serves, times
+ * adjoint_weight().
  */
 #include "batch.h"
 #include "effects.h"
@@ -64,6 +68,10 @@ typedef struct path {
 #if KERNEL_FEATURES & TRACER_POLARIZATION
     lum_polarization polarization;
 #endif
+#if KERNEL_FEATURES & TRACER_BACKWARD
+    double radiance[3]; /* seen so far, cd/m2 */
+    double gain;        /* of radiance by refraction, (n here)^-2: no loss that roulette is to mistake for one */
+#endif
 #if KERNEL_FEATURES & TRACER_SURVEY
     uint32_t met;        /* bits of bake_effect */
     bool polarized_once; /* polarization matters from the second event on that polarizes */
@@ -86,6 +94,7 @@ enum { WAVE = 32 };
 typedef struct worker {
     tracer_counts counts;
     tracer_survey *survey;
+    float (*radiance)[3]; /* of TRACER_BACKWARD: tracer_job.radiance */
     tracer_trap trap;
     uint32_t alive; /* paths in the wave: the first ones */
     lmg_vec3 origin[WAVE], direction[WAVE];
@@ -137,6 +146,27 @@ static inline int64_t units_of(const path *p)
 #endif
 }
 
+#if KERNEL_FEATURES & TRACER_BACKWARD
+/*
+ * Of a path that runs backwards the colour takes the loss, so that a mirror or a filter on its way adds no noise; only where little
+ * is left it goes on by chance, in proportion.  Returns 0 or 1.
+ */
+static inline uint32_t survivors(path *p, const double share[3])
+{
+    static const double LITTLE = 0.25;
+    for (int i = 0; i < 3; ++i)
+        p->colour[i] *= share[i];
+    const double left = luminance(p->colour) / p->gain;
+    if (left >= LITTLE)
+        return 1;
+    const double q = left / LITTLE;
+    if (!(q > 0) || lum_rng_next(&p->rng) >= q)
+        return 0;
+    for (int i = 0; i < 3; ++i)
+        p->colour[i] /= q;
+    return 1;
+}
+#else
 /*
  * How many photons go on, each with luminance 1, after an event that leaves the given share of each colour: mostly 0 or 1.  The
  * path's colour becomes theirs.
@@ -166,6 +196,7 @@ static inline uint32_t survivors(path *p, const double share[3])
     const double whole = floor(q);
     return (uint32_t)(whole < MAX_PENDING ? whole : MAX_PENDING) + (u < q - whole);
 }
+#endif
 
 /* Puts copies of a multiplied photon aside; each goes on from where it is now, with random numbers of its own. */
 static void put_aside(worker *w, uint32_t i, uint32_t copies)
@@ -391,6 +422,9 @@ static float index_outside(const tracer *t, const path *p, int32_t material, boo
 static inline void escape(const tracer *t, worker *w, uint32_t i)
 {
     const path *p = &w->path[i];
+#if KERNEL_FEATURES & TRACER_BACKWARD
+    (void)t, (void)p; /* nothing shines out there */
+#else
 #if KERNEL_FEATURES & TRACER_SOLIDS
     if (p->nested > 0) {
         w->counts.lost += units_of(p);
@@ -416,6 +450,7 @@ static inline void escape(const tracer *t, worker *w, uint32_t i)
             ray->flux[k] = (float)(rgb[k] * (double)p->units / TRACER_UNITS(KERNEL_FEATURES));
         ray->wavelength = p->waves.count == 1 ? p->waves.nm[0] : 0;
     }
+#endif
 #endif
 }
 
@@ -569,6 +604,59 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
 }
 #endif
 
+#if KERNEL_FEATURES & TRACER_BACKWARD
+/* Adds what a surface emits towards the eye. */
+static inline void see_emission(path *p, const lum_surface *surface)
+{
+    for (int k = 0; k < 3; ++k)
+        p->radiance[k] += p->colour[k] * (double)surface->emission[k] * (double)surface->coverage;
+}
+
+/*
+ * Scattering sampled as if the path was a photon: what makes its weight that of radiance that travels the other way, from s->wo to
+ * v. The density of light that way over the density this way, times |cos(ng, wo)| / |cos(ng, v)| [veach1997robust, 5.3]: 1 by
+ * reciprocity on a flat surface, (n_v / n_wo)^2 across a boundary.  False when no light can come that way.
+ */
+static bool adjoint_weight(path *p, const lum_surface *surface, const lum_scene *scene, const lum_hit *hit, float index, lmg_vec3 v,
+                           lum_scattered *s)
+{
+    double factor = 1;
+    if (s->event & LUM_BOUNDARY) {
+        const double step = (double)(surface->front ? index / surface->ior : surface->ior / index);
+        factor = step * step;
+        p->gain *= factor;
+    }
+    if (surface->tilted) {
+        const lmg_vec3 g = hit->ng, n = surface->ns;
+        const double cos_v = fabs(g.x * v.x + g.y * v.y + g.z * v.z), cos_w = fabs(g.x * s->wo.x + g.y * s->wo.y + g.z * s->wo.z);
+        if (!(cos_v > 0))
+            return false;
+        factor *= cos_w / cos_v;
+        if (s->event & LUM_DELTA) {
+            /* A delta maps solid angles by (n_o^2 cos_o) / (n_i^2 cos_i), cosines with the shading normal; mirrors keep those. */
+            if (s->event & LUM_BOUNDARY) {
+                const double shade_v = fabs(n.x * v.x + n.y * v.y + n.z * v.z);
+                const double shade_w = fabs(n.x * s->wo.x + n.y * s->wo.y + n.z * s->wo.z);
+                factor = shade_w > 0 ? factor * shade_v / shade_w : 0;
+            }
+        } else {
+            const double refracted = cos_v > 0 ? cos_w / cos_v : 0;
+            lum_surface lit;
+            lum_surface_at(scene, hit, (lmg_vec3){-s->wo.x, -s->wo.y, -s->wo.z}, &lit);
+            float there[3], back[3];
+            lum_scatter_eval(surface, v, s->wo, index, there);
+            lum_scatter_eval(&lit, s->wo, v, index, back);
+            for (int k = 0; k < 3; ++k)
+                s->weight[k] *= there[k] > 0 ? back[k] / there[k] * (float)refracted : 0;
+            return s->weight[0] + s->weight[1] + s->weight[2] > 0;
+        }
+    }
+    for (int k = 0; k < 3; ++k)
+        s->weight[k] *= (float)factor;
+    return factor > 0;
+}
+#endif
+
 static inline int32_t material_of(const tracer *t, const lum_encounter *e)
 {
     return (int32_t)(e->surface.material - t->model->materials);
@@ -585,6 +673,9 @@ static inline bool meet(const tracer *t, worker *w, uint32_t i, uint32_t photons
     const lum_hit *hit = &w->hit[i];
     lum_encounter *e = &w->met[w->met_count];
     lum_surface *surface = &e->surface;
+#if KERNEL_FEATURES & TRACER_BACKWARD
+    see_emission(p, surface);
+#endif
 #if KERNEL_FEATURES & TRACER_SOLIDS
     const int32_t material = material_of(t, e);
     if (is_unnoticed(t, p, material, surface->front)) {
@@ -644,12 +735,16 @@ static inline bool leave(const tracer *t, worker *w, uint32_t k)
     uint32_t photons = w->met_photons[k];
     path *p = &w->path[i];
     const lum_hit *hit = &w->hit[i];
-    const lum_encounter *e = &w->met[k];
-    const lum_scattered *s = &e->out;
+    lum_encounter *e = &w->met[k];
+    lum_scattered *s = &e->out;
     if (!(s->event & (LUM_REFLECTED | LUM_TRANSMITTED))) {
         w->counts.absorbed += photons * units_of(p);
         return false;
     }
+#if KERNEL_FEATURES & TRACER_BACKWARD
+    if (!adjoint_weight(p, &e->surface, t->scene, hit, e->eta_outside, e->wi, s))
+        return false;
+#endif
     const double share[3] = {(double)s->weight[0], (double)s->weight[1], (double)s->weight[2]};
     if (!isfinite(s->wo.x + s->wo.y + s->wo.z + share[0] + share[1] + share[2])) {
         w->counts.lost += photons * units_of(p);
@@ -747,6 +842,25 @@ static void interact(const tracer *t, worker *w, uint32_t first, uint32_t count)
     for (uint32_t k = 0; k < w->met_count; ++k)
         w->goes_on[w->met_path[k]] = leave(t, w, k);
 }
+
+#if KERNEL_FEATURES & TRACER_BACKWARD
+/* Starts ray k of the job's list as path i of the wave. */
+static inline bool start_backward(const tracer_job *j, worker *w, uint32_t i, uint64_t k)
+{
+    const lmg_ray *ray = &j->rays[k];
+    const lmg_vec3 centre = j->tracer->model->centre, o = ray->origin, d = ray->direction;
+    path *p = &w->path[i];
+    memset(p, 0, sizeof(*p));
+    p->number = k;
+    p->rng = lum_rng_stream(j->tracer->seed, ray->number);
+    p->gain = 1;
+    p->colour[0] = p->colour[1] = p->colour[2] = 1;
+    w->origin[i] = (lmg_vec3){o.x - centre.x, o.y - centre.y, o.z - centre.z};
+    w->direction[i] = (lmg_vec3){-d.x, -d.y, -d.z};
+    ++w->counts.photons;
+    return true;
+}
+#endif
 
 /* Draws the light of the next photons of the chunk, in the order of order_photons. */
 static void draw(const tracer *t, worker *w, uint64_t first, uint32_t next, uint32_t count)
@@ -881,6 +995,10 @@ static inline void close_gap(const tracer *t, worker *w, uint32_t i)
 #else
     (void)t;
 #endif
+#if KERNEL_FEATURES & TRACER_BACKWARD
+    for (int k = 0; k < 3; ++k)
+        w->radiance[w->path[i].number][k] = (float)w->path[i].radiance[k];
+#endif
     const uint32_t last = --w->alive;
     w->origin[i] = w->origin[last];
     w->direction[i] = w->direction[last];
@@ -900,7 +1018,8 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
     worker *w = state;
     if (atomic_load_explicit(&j->stopped, memory_order_relaxed))
         return;
-    order_photons(t, w, first, (uint32_t)count);
+    if (!HAS(TRACER_BACKWARD))
+        order_photons(t, w, first, (uint32_t)count);
     w->trap.started = w->trap.trapped = 0;
     w->drawn_next = w->drawn_count = 0;
     uint32_t next = 0;
@@ -912,6 +1031,10 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
                 w->direction[w->alive] = p->direction;
                 w->path[w->alive++] = p->path;
             } else if (next < count) {
+#if KERNEL_FEATURES & TRACER_BACKWARD
+                w->alive += start_backward(j, w, w->alive, first + next++);
+                continue;
+#endif
                 if (w->drawn_next == w->drawn_count)
                     draw(t, w, first, next, (uint32_t)count);
                 ++next;
@@ -955,6 +1078,7 @@ static void *begin(void *self)
         memset(&w->counts, 0, sizeof(w->counts));
         w->alive = w->pending_count = 0;
         w->survey = j->survey;
+        w->radiance = j->radiance;
         w->batch.sinks = j->sinks;
         w->batch.sink_count = j->sink_count;
         w->batch.count = 0;

@@ -31,6 +31,7 @@
 #define TRACER_POLARIZATION 16u /* photons carry a polarization from one specular event to the next */
 #define TRACER_MEDIA 32u       /* scattering on the way: inside solids and in volumes; needs TRACER_SOLIDS, TRACER_ABSORPTION */
 #define TRACER_SPECTRAL 64u    /* light by wavelength (luminaires/waves.h), where the tracer has the tables for it */
+#define TRACER_BACKWARD (1u << 30) /* paths run from outside into the lamp and see what it emits */
 #define TRACER_SURVEY (1u << 31) /* notes which effects each photon meets, and where it ends: for the plan, not for a bake */
 
 /* What the loop needs of a material, in one cache line per few materials. */
@@ -95,6 +96,8 @@ typedef struct tracer_job {
     float *record; /* for the benchmark, else NULL: segments' origins and directions, 6 floats each */
     size_t record_count, record_capacity;
     tracer_survey *survey; /* for a kernel with TRACER_SURVEY */
+    const lmg_ray *rays;   /* for one with TRACER_BACKWARD: rays of light whose radiance is asked for, ... */
+    float (*radiance)[3];  /* ... and the radiance seen along each, cd/m2 */
     tracer_counts counts; /* summed up in end */
     atomic_flag trap_taken; /* the first thread that gives up describes the trap */
     atomic_bool stopped;    /* light is trapped: the rest of the work is left */
@@ -110,8 +113,9 @@ struct tracer_kernel {
     void (*end)(void *self, void *state);
 };
 
-/* tracer_kernels.c: all kernels, those with fewer features first; the last has all features.  Apart from them, the one that surveys. */
-extern const tracer_kernel tracer_kernel_survey;
+/* tracer_kernels.c: all kernels, those with fewer features first; the last has all features.  Apart from them, those that
+ * survey and that run backwards. */
+extern const tracer_kernel tracer_kernel_survey, tracer_kernel_backward;
 extern const tracer_kernel *const tracer_kernels[];
 extern const size_t tracer_kernel_count;
 

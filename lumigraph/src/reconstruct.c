@@ -9,6 +9,7 @@
 #include "accumulate.h"
 #include "etendue.h"
 #include "field.h"
+#include "gather.h"
 
 #include <stdlib.h>
 
@@ -16,10 +17,7 @@
  * finds a ray of its own in such a cell within a few hundred tries. */
 #define OWN_SHARE 0.01
 
-/* Counts of a cell, in lumens. */
-typedef struct cell_sum {
-    double a[3], b[3], variance;
-} cell_sum;
+typedef lmg_cell_flux cell_sum;
 
 typedef struct orphan {
     uint32_t i[4]; /* iu, iv, is, it */
@@ -114,9 +112,53 @@ static bool is_counted(const void *self, uint64_t cell)
     return false;
 }
 
+/* What is gathered beside the photons, and the flux of its cells by photons alone and combined. */
+typedef struct gathering {
+    const lmg_gathering *cells; /* NULL: none */
+    double photons, combined;
+} gathering;
+
+static void combine(gathering *g, uint64_t cell, double etendue, double lumens, uint32_t channels, cell_sum *s)
+{
+    const size_t i = lmg_gathering_find(g->cells, cell);
+    if (i == lmg_gathering_cells(g->cells))
+        return;
+    g->photons += luminance(s->a, channels) + luminance(s->b, channels);
+    lmg_gathering_combine(g->cells, i, etendue, lumens, s);
+    g->combined += luminance(s->a, channels) + luminance(s->b, channels);
+}
+
+/* Light that a gathered cell adopts. */
+static void adopted(gathering *g, uint64_t cell, uint32_t channels, const cell_sum *s)
+{
+    if (!g->cells || lmg_gathering_find(g->cells, cell) == lmg_gathering_cells(g->cells))
+        return;
+    g->photons += luminance(s->a, channels) + luminance(s->b, channels);
+    g->combined += luminance(s->a, channels) + luminance(s->b, channels);
+}
+
+/* Gives the gathered cells the flux that photons say they have together. */
+static void keep_flux(lmg_field *field, const lmg_plan *plan, const gathering *g)
+{
+    const double factor = g->combined > 0 ? g->photons / g->combined : 1;
+    const uint32_t channels = field->layout.channels;
+    uint32_t j = 0;
+    for (size_t i = 0; i < lmg_gathering_cells(g->cells); i++) {
+        const uint64_t at = lmg_gathering_cell(g->cells, i);
+        while (plan->first[j + 1] <= at)
+            j++;
+        lmg_slab_data *data = &field->slabs[j];
+        const uint64_t cell = at - plan->first[j];
+        for (uint32_t c = 0; c < channels; c++)
+            data->radiance[cell * channels + c] = (float)((double)data->radiance[cell * channels + c] * factor);
+        data->standard_error[cell] = (float)((double)data->standard_error[cell] * factor);
+        data->half_a[cell] = (float)((double)data->half_a[cell] * factor);
+    }
+}
+
 /* One slab; *homeless gets the flux and variance that no cell of it can carry. */
-static lmg_result reconstruct_slab(const lmg_accumulator *acc, uint32_t j, double lumens, lmg_field *field, cell_sum *homeless,
-                                   lmg_error *err)
+static lmg_result reconstruct_slab(const lmg_accumulator *acc, uint32_t j, double lumens, gathering *gathered, lmg_field *field,
+                                   cell_sum *homeless, lmg_error *err)
 {
     const lmg_slab *slab = &acc->layout.slabs[j];
     const uint64_t first = acc->plan.first[j];
@@ -144,6 +186,8 @@ static lmg_result reconstruct_slab(const lmg_accumulator *acc, uint32_t j, doubl
                         continue;
                     double own = lmg_etendue_effective(&e, iu, iv, is, it);
                     if (lmg_etendue_is_full(&e) ? own > 0 : own >= OWN_SHARE * lmg_etendue_full(&e, iu, iv, is, it)) {
+                        if (gathered->cells)
+                            combine(gathered, first + cell, own, lumens, acc->layout.channels, &s);
                         put(field, j, cell, &s, own);
                         continue;
                     }
@@ -163,6 +207,7 @@ static lmg_result reconstruct_slab(const lmg_accumulator *acc, uint32_t j, doubl
         double etendue;
         if (adopt(&e, &orphans[k], &home, &etendue)) {
             put(field, j, home, &orphans[k].sum, etendue);
+            adopted(gathered, first + home, acc->layout.channels, &orphans[k].sum);
             continue;
         }
         for (int c = 0; c < 3; c++) {
@@ -180,6 +225,12 @@ cleanup:
 lmg_result lmg_field_reconstruct(const lmg_accumulator *acc, double lumens_per_unit, const lmg_ledger *ledger, lmg_field **out,
                                  lmg_error *err)
 {
+    return lmg_field_reconstruct_gathered(acc, lumens_per_unit, ledger, NULL, out, NULL, err);
+}
+
+lmg_result lmg_field_reconstruct_gathered(const lmg_accumulator *acc, double lumens_per_unit, const lmg_ledger *ledger,
+                                          const lmg_gathering *cells, lmg_field **out, double *share, lmg_error *err)
+{
     if (!out)
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "reconstruct: nowhere to put the field");
     *out = NULL;
@@ -190,8 +241,11 @@ lmg_result lmg_field_reconstruct(const lmg_accumulator *acc, double lumens_per_u
     if (r != LMG_OK)
         return r;
     cell_sum homeless = {0};
+    gathering gathered = {.cells = cells};
     for (uint32_t j = 0; j < acc->layout.slab_count && r == LMG_OK; j++)
-        r = reconstruct_slab(acc, j, lumens_per_unit, field, &homeless, err);
+        r = reconstruct_slab(acc, j, lumens_per_unit, &gathered, field, &homeless, err);
+    if (r == LMG_OK && cells)
+        keep_flux(field, &acc->plan, &gathered);
     if (r == LMG_OK)
         r = lmg_field_prepare(field, err);
     if (r != LMG_OK) {
@@ -217,6 +271,8 @@ lmg_result lmg_field_reconstruct(const lmg_accumulator *acc, double lumens_per_u
         l->residual_se = sqrt((double)acc->residual_squares / LMG_SQUARE_ONE * lumens_per_unit * lumens_per_unit + homeless.variance);
     if (!ledger)
         l->emitted_se = hypot(l->stored_se, l->residual_se);
+    if (share)
+        *share = l->stored > 0 ? gathered.photons / l->stored : 0;
     *out = field;
     return LMG_OK;
 }

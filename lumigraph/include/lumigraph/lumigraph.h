@@ -211,6 +211,36 @@ LMG_API lmg_result lmg_accumulator_save(const lmg_accumulator *acc, lmg_write_by
  * Errors: LMG_ERROR_FILE_FORMAT, LMG_ERROR_MEMORY. */
 LMG_API lmg_result lmg_accumulator_load(const void *bytes, size_t size, lmg_accumulator **out, lmg_error *err);
 
+/* ----------------------------------------------------------------------------------------------------------- gathering */
+
+/*
+ * Radiance of cells by rays traced backwards into the luminaire, to be combined with the photons of an accumulator: cells into
+ * which photons fell get rays in proportion, uniformly distributed in the cell's own etendue; whoever knows the luminaire says what
+ * an eye sees along them.  The rays are a function of the accumulator's content, rays_per_unit and seed alone.
+ */
+typedef struct lmg_gathering lmg_gathering;
+enum { LMG_GATHERING_RAYS = 1024 }; /* of half a cell, at most */
+
+/* rays_per_unit: > 0, rays for each unit of flux in a cell (a photon).  The accumulator is borrowed and has to stay as it is.
+ * Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_MEMORY. */
+LMG_API lmg_result lmg_gathering_create(const lmg_accumulator *acc, double rays_per_unit, uint64_t seed, lmg_gathering **out,
+                                        lmg_error *err);
+LMG_API void lmg_gathering_destroy(lmg_gathering *gathering); /* accepts NULL */
+
+LMG_API size_t lmg_gathering_cells(const lmg_gathering *gathering);
+LMG_API uint64_t lmg_gathering_rays(const lmg_gathering *gathering); /* of all cells */
+
+/* The rays of the i-th cell: from where they leave the bounds, with numbers of their own for the randomness of what becomes of
+ * them.  Returns how many; 0: too little of the cell is its own, it is to be left to the photons (put NULL). */
+LMG_API uint32_t lmg_gathering_draw(const lmg_gathering *gathering, size_t i, lmg_ray rays[2 * LMG_GATHERING_RAYS]);
+
+/* Etendue of the i-th cell, m2 sr, whole. */
+LMG_API double lmg_gathering_etendue(const lmg_gathering *gathering, size_t i);
+
+/* What is seen along the rays of the i-th cell, in their order: R,G,B, cd/m2, in the scale of lumens_per_unit of the
+ * reconstruction; once for each cell; calls for different cells may run at once. */
+LMG_API void lmg_gathering_put(lmg_gathering *gathering, size_t i, const float (*radiance)[3]);
+
 /* --------------------------------------------------------------------------------------------------------------- field */
 
 typedef struct lmg_field lmg_field;
@@ -228,6 +258,12 @@ typedef struct lmg_ledger {
  * (as weighted Poisson counts); the rest is taken as given.  NULL: emitted = stored + residual. */
 LMG_API lmg_result lmg_field_reconstruct(const lmg_accumulator *acc, double lumens_per_unit, const lmg_ledger *ledger,
                                          lmg_field **out, lmg_error *err);
+
+/* The same of photons and what was gathered for them, cell by cell in a mixture that is unbiased and about as good as inverse
+ * variances make it; the flux stays that of the photons.  gathering: of this accumulator, or NULL.  *share (may be NULL): of the
+ * stored flux that lies in gathered cells. */
+LMG_API lmg_result lmg_field_reconstruct_gathered(const lmg_accumulator *acc, double lumens_per_unit, const lmg_ledger *ledger,
+                                                  const lmg_gathering *gathering, lmg_field **out, double *share, lmg_error *err);
 LMG_API void lmg_field_destroy(lmg_field *field);
 
 LMG_API const lmg_layout *lmg_field_layout(const lmg_field *field);
