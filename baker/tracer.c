@@ -219,6 +219,10 @@ lmg_result bake_tracer_create_with(const struct lum_model *model, uint32_t effec
         result = bake_effects_strip(model, effects, &t->variant, err);
         if (result == LMG_OK)
             t->model = t->variant;
+        for (uint32_t i = 0; i < model->material_count; ++i) {
+            const lum_material *m = &model->materials[i];
+            t->recut |= m->alpha_mode != LUM_ALPHA_OPAQUE && (m->emissive[0] != 0 || m->emissive[1] != 0 || m->emissive[2] != 0);
+        }
     }
     if (result == LMG_OK) {
         t->media = list_media(t->model);
@@ -337,7 +341,10 @@ bool bake_tracer_can_look(const bake_source *source, const char **why)
         BAKE_FLUORESCENCE,   BAKE_SPECULAR,      BAKE_CLEARCOAT,        BAKE_SHEEN,  BAKE_ANISOTROPY, BAKE_IRIDESCENCE};
     const tracer *t = (const tracer *)source;
     const uint32_t effects = bake_effects_of(t->model);
-    bake_effect in_the_way = t->polarized ? BAKE_POLARIZATION : BAKE_EFFECT_COUNT;
+    bake_effect in_the_way = t->polarized  ? BAKE_POLARIZATION
+                             : t->spectral ? BAKE_SPECTRA
+                             : t->recut    ? BAKE_COVERAGE
+                                           : BAKE_EFFECT_COUNT;
     for (size_t i = 0; i < sizeof(CANT) / sizeof(CANT[0]); ++i)
         if (effects & 1u << CANT[i])
             in_the_way = CANT[i];

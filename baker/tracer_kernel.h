@@ -614,7 +614,7 @@ static inline void see_emission(path *p, const lum_surface *surface)
 
 /*
  * Scattering sampled as if the path was a photon: what makes its weight that of radiance that travels the other way, from s->wo to
- * v. The density of light that way over the density this way, times |cos(ng, wo)| / |cos(ng, v)| [veach1997robust, 5.3]: 1 by
+ * v. The density of light that way over the density this way, times |cos(ng, wo)| / |cos(ng, v)| [veach1997thesis]: 1 by
  * reciprocity on a flat surface, (n_v / n_wo)^2 across a boundary.  False when no light can come that way.
  */
 static bool adjoint_weight(path *p, const lum_surface *surface, const lum_scene *scene, const lum_hit *hit, float index, lmg_vec3 v,

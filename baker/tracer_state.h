@@ -63,6 +63,7 @@ typedef struct tracer {
     lum_wave_tables *spectral; /* NULL: light of this model has R,G,B */
     uint32_t features; /* needed for what is simulated */
     bool polarized;    /* polarization is */
+    bool recut;        /* a cut-out emitter is whole in the variant: eyes would see another emission than photons have */
     const tracer_kernel *kernel;
     uint64_t seed;
 } tracer;

@@ -19,7 +19,8 @@
  * photons.
  *
  * Usage: test_bench_reconstruction [LAMP|all [photons [cells, 0 = as many as the photons are worth [judging photons [sizes of
- * tables]]]]]; a line of JSON for each lamp.
+ * tables [rays]]]]]]; a line of JSON for each lamp.  rays: traced backwards for each photon that leaves, beside the box's photons (0; -1: as
+ * the pilot says).
  */
 #include "bake.h"
 #include "sampler.h"
@@ -489,16 +490,21 @@ static double resolution(const images *reference, int k, double energy, double s
     return sqrt(squares) / energy;
 }
 
-static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_t judging, size_t sizes)
+static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_t judging, size_t sizes, double backward)
 {
     static const double SPLIT[] = {1.0 / 16, 1.0 / 4, 1, 4, 16, 64}, SIZE[] = {1.0 / 16, 1.0 / 4, 1, 4};
     lmg_error err;
     lamp l;
     lamp_open(&l, name);
-    bake_options options = {.photons = photons, .seed = SEED, .fit = {.struct_size = sizeof options.fit, .cells = cells}};
+    bake_options options = {.photons = photons,
+                            .rays_per_photon = backward,
+                            .seed = SEED,
+                            .fit = {.struct_size = sizeof options.fit, .cells = cells}};
     bake_report report;
     trial t = {.lamp = &l};
     demand(bake_run(l.model, &options, &t.field, &report, &err), &err);
+    printf("%s%s%.3g M rays backwards in %.1f s beside %.3g M photons in %.1f s\n", report.gather_why, report.gather_why[0] ? "\n" : "",
+           1e-6 * (double)report.gathered_rays, report.gather_seconds, 1e-6 * (double)photons, report.trace_seconds);
     const lmg_layout *layout = lmg_field_layout(t.field);
     const lmg_ledger ledger = lmg_field_ledger(t.field);
     uint64_t lit = 0, all = 0;
@@ -645,8 +651,9 @@ int main(int argc, char **argv)
     const char *wanted = argc > 1 ? argv[1] : "all";
     const uint64_t photons = argc > 2 ? (uint64_t)atof(argv[2]) : 8000000, cells = argc > 3 ? (uint64_t)atof(argv[3]) : 0;
     const uint64_t judging = argc > 4 ? (uint64_t)atof(argv[4]) : 4000000;
+    const double backward = argc > 6 ? atof(argv[6]) : 0;
     for (size_t i = 0; i < sizeof LAMPS / sizeof *LAMPS; i++)
         if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i]) == 0)
-            run_lamp(LAMPS[i], photons, cells, judging, argc > 5 ? (size_t)atoi(argv[5]) : 4);
+            run_lamp(LAMPS[i], photons, cells, judging, argc > 5 ? (size_t)atoi(argv[5]) : 4, backward);
     return 0;
 }
