@@ -627,28 +627,26 @@ static bool adjoint_weight(path *p, const lum_surface *surface, const lum_scene 
         p->gain *= factor;
     }
     if (surface->tilted) {
-        const lmg_vec3 g = hit->ng, n = surface->ns;
-        const double cos_v = fabs(g.x * v.x + g.y * v.y + g.z * v.z), cos_w = fabs(g.x * s->wo.x + g.y * s->wo.y + g.z * s->wo.z);
+        const lmg_vec3 g = hit->ng, n = surface->ns, o = s->wo;
+        const double cos_v = fabs(g.x * v.x + g.y * v.y + g.z * v.z), cos_o = fabs(g.x * o.x + g.y * o.y + g.z * o.z);
         if (!(cos_v > 0))
             return false;
-        factor *= cos_w / cos_v;
-        if (s->event & LUM_DELTA) {
-            /* A delta maps solid angles by (n_o^2 cos_o) / (n_i^2 cos_i), cosines with the shading normal; mirrors keep those. */
-            if (s->event & LUM_BOUNDARY) {
-                const double shade_v = fabs(n.x * v.x + n.y * v.y + n.z * v.z);
-                const double shade_w = fabs(n.x * s->wo.x + n.y * s->wo.y + n.z * s->wo.z);
-                factor = shade_w > 0 ? factor * shade_v / shade_w : 0;
-            }
-        } else {
-            const double refracted = cos_v > 0 ? cos_w / cos_v : 0;
+        const double cosines = cos_o / cos_v;
+        if (!(s->event & LUM_DELTA)) {
             lum_surface lit;
-            lum_surface_at(scene, hit, (lmg_vec3){-s->wo.x, -s->wo.y, -s->wo.z}, &lit);
+            lum_surface_at(scene, hit, (lmg_vec3){-o.x, -o.y, -o.z}, &lit);
             float there[3], back[3];
-            lum_scatter_eval(surface, v, s->wo, index, there);
-            lum_scatter_eval(&lit, s->wo, v, index, back);
+            lum_scatter_eval(surface, v, o, index, there);
+            lum_scatter_eval(&lit, o, v, index, back);
             for (int k = 0; k < 3; ++k)
-                s->weight[k] *= there[k] > 0 ? back[k] / there[k] * (float)refracted : 0;
+                s->weight[k] *= there[k] > 0 ? back[k] / there[k] * (float)cosines : 0;
             return s->weight[0] + s->weight[1] + s->weight[2] > 0;
+        }
+        factor *= cosines;
+        /* A delta maps solid angles by (n_o^2 cos_o) / (n_i^2 cos_i), cosines with the shading normal; mirrors keep those. */
+        if (s->event & LUM_BOUNDARY) {
+            const double shade_v = fabs(n.x * v.x + n.y * v.y + n.z * v.z), shade_o = fabs(n.x * o.x + n.y * o.y + n.z * o.z);
+            factor = shade_o > 0 ? factor * shade_v / shade_o : 0;
         }
     }
     for (int k = 0; k < 3; ++k)
