@@ -436,13 +436,13 @@ static lmg_result choose_cells(bake *b, double seconds, lmg_fit_options *fit, ch
 }
 
 /* Decides how many rays are traced backwards. */
-static lmg_result decide_gathering(bake *b, const lmg_layout *layout, double seconds, lmg_error *err)
+static lmg_result decide_gathering(bake *b, const lmg_layout *layout, lmg_error *err)
 {
     const bake_options *o = b->options;
     size_t count;
     const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
-    const double rate = (double)b->pilot_tally.photons / b->report->pilot_seconds;
-    const double photons = o->photons > 0 ? (double)(o->whole > 0 ? o->whole : o->photons) : rate * seconds;
+    /* the bake that such a pilot is for: like the layout the decision must not change when a bake is extended */
+    const double photons = (double)b->pilot_tally.photons / PILOT_SHARE;
     bake_gather_plan plan;
     lmg_result result = bake_gather_decide(b->tracer, layout, rays, count, &b->pilot_tally, photons, o->rays_per_photon, o->seed,
                                            o->threads, &plan, err);
@@ -483,7 +483,7 @@ static lmg_result begin_part(bake *b, double seconds, lmg_error *err)
     if (result == LMG_OK)
         result = measure_noise(b, &layout, err);
     if (result == LMG_OK && b->options->rays_per_photon != 0)
-        result = decide_gathering(b, &layout, seconds, err);
+        result = decide_gathering(b, &layout, err);
     if (result == LMG_OK)
         result = bake_part_set_text(b->part, PART_PILOT_PHOTONS, pilot, err);
     if (result == LMG_OK)

@@ -393,10 +393,12 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     json_object_set_new(o, "lost_inside_photons", json_real(r->tally.lost_inside));
     json_object_set_new(o, "efficiency", json_number((l.stored + l.residual) / l.emitted));
     json_object_set_new(o, "noise", json_number(r->noise));
-        result = bake_part_field(part, gathering, out, err);
-    lmg_gathering_destroy(gathering);
-    if (result == LMG_OK)
-        result = measure_bias(b, *out, err);
+    json_object_set_new(o, "bias", json_bias(&r->bias));
+    const char *gathered = lmg_field_get_text(field, "gathered_flux"), *rays = lmg_field_get_text(field, "gather");
+    json_object_set_new(o, "gather",
+                        json_pack("{s:o, s:I, s:o, s:s}", "rays_per_photon", json_number(rays ? strtod(rays, NULL) : 0), "rays",
+                                  (json_int_t)r->gathered_rays, "flux_share", json_number(gathered ? strtod(gathered, NULL) : 0),
+                                  "why", r->gather_why));
     if (c->target.error > 0)
         json_object_set_new(o, "error", json_pack("{s:s, s:f, s:o, s:o, s:b, s:i}", "of", judge_measure_name(c->target.of), "asked",
                                                   c->target.error, "rms", json_number(c->reached.error.rms), "standard_error",
@@ -451,10 +453,14 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     }
     printf("  photons   %" PRIu64 " in %.1f s, %.3g M/s, %.3g segments each; noise of illuminance one size away %.2g %%\n",
            l.photons, r->trace_seconds, 1e-6 * n / fmax(r->trace_seconds, 1e-9), (double)r->tally.segments / n, 100 * r->noise);
-        result = bake_part_field(part, gathering, out, err);
-    lmg_gathering_destroy(gathering);
-    if (result == LMG_OK)
-        result = measure_bias(b, *out, err);
+    print_bias(&r->bias);
+    const char *gathered = lmg_field_get_text(field, "gathered_flux");
+    if (r->gathered_rays > 0)
+        printf("  gathered  %.3g M rays backwards in %.1f s, in cells with %.3g %% of the flux; %s\n",
+               1e-6 * (double)r->gathered_rays, r->gather_seconds, 100 * (gathered ? strtod(gathered, NULL) : 0),
+               r->gather_why[0] ? r->gather_why : "as the earlier run decided");
+    else if (r->gather_why[0])
+        printf("  gathered  %s\n", r->gather_why);
     if (c->target.error > 0)
         printf("  error     %.3g +- %.2g %% of %s, asked for %.3g %%; found in %u bakes\n", 100 * c->reached.error.rms,
                100 * c->reached.error.standard_error, judge_measure_name(c->target.of), 100 * c->target.error, c->reached.bakes);

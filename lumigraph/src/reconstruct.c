@@ -149,8 +149,9 @@ static void keep_flux(lmg_field *field, const lmg_plan *plan, const gathering *g
             j++;
         lmg_slab_data *data = &field->slabs[j];
         const uint64_t cell = at - plan->first[j];
+        float *radiance = lmg_cell_radiance(data, cell);
         for (uint32_t c = 0; c < channels; c++)
-            data->radiance[cell * channels + c] = (float)((double)data->radiance[cell * channels + c] * factor);
+            radiance[c] = (float)((double)radiance[c] * factor);
         data->standard_error[cell] = (float)((double)data->standard_error[cell] * factor);
         data->half_a[cell] = (float)((double)data->half_a[cell] * factor);
     }

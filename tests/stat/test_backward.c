@@ -250,8 +250,8 @@ static void compare_cells(counted *c, const char *name, double rays_per_photon)
             (uint32_t)(cell / c->layout.slabs[j].ns / c->layout.slabs[j].nt / c->layout.slabs[j].nu),
             (uint32_t)(cell % c->layout.slabs[j].ns), (uint32_t)(cell / c->layout.slabs[j].ns % c->layout.slabs[j].nt));
         /* at least 5 photons of the pilot's 50,000 */
-        const float *few = c->pilot->slabs[j].radiance;
-        if ((c->layout.channels == 1 ? (double)few[cell] : lmg_luminance(&few[3 * cell])) * etendue < 4.99)
+        const float *few = lmg_cell_radiance(&c->pilot->slabs[j], cell);
+        if ((c->layout.channels == 1 ? (double)few[0] : lmg_luminance(few)) * etendue < 4.99)
             continue;
         uint32_t bright = 0;
         const uint32_t others = lmg_gathering_draw(other, i, rays);
@@ -265,8 +265,8 @@ static void compare_cells(counted *c, const char *name, double rays_per_photon)
         stats_mean seen = {0};
         for (uint32_t k = 0; k < n; ++k)
             stats_add(&seen, lmg_luminance(radiance[k]) * scale);
-        const float *r = c->field->slabs[j].radiance;
-        const double photons = c->layout.channels == 1 ? (double)r[cell] : lmg_luminance(&r[3 * cell]);
+        const float *r = lmg_cell_radiance(&c->field->slabs[j], cell);
+        const double photons = c->layout.channels == 1 ? (double)r[0] : lmg_luminance(r);
         const double var = pow(stats_error(&seen), 2) + seen.mean * unit / etendue;
         chi2 += pow(seen.mean - photons, 2) / var;
         flux[0] += photons * etendue;
@@ -347,7 +347,7 @@ static void mixture(void **state)
         size_t k = 0;
         for (uint32_t j = 0; j < c.layout.slab_count; ++j)
             for (uint64_t i = 0; i < both->slabs[j].cells; ++i, ++k) {
-                const double p = (double)photons->slabs[j].radiance[i], m = (double)both->slabs[j].radiance[i];
+                const double p = (double)*lmg_cell_radiance(&photons->slabs[j], i), m = (double)*lmg_cell_radiance(&both->slabs[j], i);
                 assert_int_equal(c.layout.channels, 1);
                 stats_add(&difference[k], m - p);
                 stats_add(&mixed[k], m);
@@ -365,7 +365,7 @@ static void mixture(void **state)
     size_t k = 0;
     for (uint32_t j = 0; j < c.layout.slab_count; ++j)
         for (uint64_t i = 0; i < c.field->slabs[j].cells; ++i, ++k) {
-            const double l = (double)c.field->slabs[j].radiance[i], se = (double)c.field->slabs[j].standard_error[i];
+            const double l = (double)*lmg_cell_radiance(&c.field->slabs[j], i), se = (double)c.field->slabs[j].standard_error[i];
             const double photons = se > 0 ? l * l / (se * se) : 0;
             if (photons < 1.9 || !(difference[k].m2 > 0))
                 continue;
