@@ -67,8 +67,8 @@ static const struct argp_option OPTIONS[] = {
     {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
     {"effects", KEY_EFFECTS, "LIST", 0, "auto (as lumibake plan says), all, or effects to simulate", 4},
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving effects out may change (default 0.1%)", 4},
-    {"gather", KEY_GATHER, "R", 0,
-     "rays traced backwards for each photon that leaves, beside the photons (default: as the pilot says)", 4},
+    {"gather", KEY_GATHER, "R|auto", 0,
+     "rays traced backwards for each photon that leaves, beside the photons (default auto: as the pilot says)", 4},
     {"photons-only", KEY_PHOTONS_ONLY, 0, 0, "no rays traced backwards", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
@@ -216,7 +216,7 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         c->bake.effects_error = argument_share(state, "--effects-error", arg);
         break;
     case KEY_GATHER:
-        c->bake.rays_per_photon = argument_number(state, "--gather", arg, 1.0 / 64, 64);
+        c->bake.rays_per_photon = strcmp(arg, "auto") == 0 ? -1 : argument_number(state, "--gather", arg, 1.0 / 64, 64);
         break;
     case KEY_PHOTONS_ONLY:
         c->photons_only = true;

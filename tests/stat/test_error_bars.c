@@ -74,7 +74,7 @@ static lmg_field *bake(const lum_model *model, const lmg_layout *layout, uint64_
     const lmg_sink sink = lmg_accumulator_sink(part->accumulator);
     assert_int_equal(source->run(source, 0, PHOTONS, 0, &sink, 1, &part->tally, &err), LMG_OK);
     assert_int_equal(bake_part_add_range(part, 0, PHOTONS, &err), LMG_OK);
-    if (bake_part_field(part, &field, &err) != LMG_OK)
+    if (bake_part_field(part, NULL, &field, &err) != LMG_OK)
         fail_msg("%s", err.message);
     bake_part_destroy(part);
     source->destroy(source);
