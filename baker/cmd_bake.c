@@ -47,7 +47,8 @@ enum {
     KEY_JSON
 };
 
-/* A file may be larger than asked for by so much; beyond that its cells are rounded more coarsely, by at most so much of their noise. */
+/* A file may be larger than asked for by so much; beyond that its cells are rounded more coarsely, by at most so much of their
+ * noise. */
 static const double SIZE_SLACK = 1.03, MOST_ROUNDING = 0.4;
 
 static const struct argp_option OPTIONS[] = {
@@ -65,10 +66,9 @@ static const struct argp_option OPTIONS[] = {
     {"resolution", KEY_RESOLUTION, "U,V,S,T", 0, "cells in each dimension of the main slabs, 0 = chosen", 4},
     {"lossless", KEY_LOSSLESS, 0, 0, LOSSLESS_HELP, 4},
     {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
-    {"effects", KEY_EFFECTS, "LIST", 0, "auto (as lumibake plan says), all, or effects to simulate", 4},
-    {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving effects out may change (default 0.1%)", 4},
-    {"gather", KEY_GATHER, "R|auto", 0,
-     "rays traced backwards for each photon that leaves, beside the photons (default auto: as the pilot says)", 4},
+    {"effects", KEY_EFFECTS, "LIST", 0, "auto, all, or effects to simulate", 4},
+    {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving them out may change (default 0.1%)", 4},
+    {"gather", KEY_GATHER, "R|auto", 0, "rays traced backwards per photon (default auto)", 4},
     {"photons-only", KEY_PHOTONS_ONLY, 0, 0, "no rays traced backwards", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
@@ -85,7 +85,8 @@ static const struct argp_option OPTIONS[] = {
 
 static const char DOC[] =
     "Traces the light of a luminaire (.gltf, .glb) photon by photon and writes what leaves it as a box of light."
-    "\vCtrl-C ends a bake early with a valid box (exit code 130) and a checkpoint that --resume goes on from; a second one quits without.\n"
+    "\vCtrl-C ends a bake early with a valid box (exit code 130) and a checkpoint that --resume goes on from; a second one quits "
+    "without.\n"
     "Example:\n  lumibake bake lamp.gltf -o lamp.box.exr --flux 800lm --time 2m";
 
 typedef struct command {
@@ -97,7 +98,7 @@ typedef struct command {
     bool given_first, photons_only;
     char part[1100]; /* the checkpoint's file */
     bool lossless, quiet, progress, json;
-    lmg_rounding lost; /* by rounding the box's cells */
+    lmg_rounding lost;  /* by rounding the box's cells */
     bake_target target; /* error 0: none */
     bake_reached reached;
     /* progress on a terminal */
@@ -132,7 +133,8 @@ static void settle_photons(struct argp_state *state, command *c)
     if (c->given_first && c->shares)
         usage_error(state, "--first and --share exclude each other");
     if (c->given_first && !o->pilot_photons)
-        usage_error(state, "--first needs --pilot, the same for all parts of a bake, so that they have one layout; such as --pilot 1e5");
+        usage_error(state,
+                    "--first needs --pilot, the same for all parts of a bake, so that they have one layout; such as --pilot 1e5");
     if (c->shares) {
         if (!o->photons)
             usage_error(state, "--share needs --photons, those of the whole bake");
@@ -264,13 +266,15 @@ static error_t parse(int key, char *arg, struct argp_state *state)
             usage_error(state, "which lamp? give a .gltf or .glb file");
         if (!c->output)
             usage_error(state, "where to? give -o NAME.box.exr");
-        if (c->bake.size > 0 && (c->bake.fit.cells || c->bake.fit.resolution[0] || c->bake.fit.resolution[1] || c->bake.fit.resolution[2] ||
-                                 c->bake.fit.resolution[3]))
+        if (c->bake.size > 0 && (c->bake.fit.cells || c->bake.fit.resolution[0] || c->bake.fit.resolution[1] ||
+                                 c->bake.fit.resolution[2] || c->bake.fit.resolution[3]))
             usage_error(state, "--size chooses the cells: no --cells or --resolution with it");
         if (c->bake.photons && c->bake.seconds > 0)
             usage_error(state, "--time and --photons exclude each other");
-        if (c->target.error > 0 && (c->bake.photons || c->bake.seconds > 0 || c->resume || c->bake.keep || c->shares || c->given_first))
-            usage_error(state, "--error finds the photons by itself: no --time, --photons, --resume, --keep, --share or --first with it");
+        if (c->target.error > 0 &&
+            (c->bake.photons || c->bake.seconds > 0 || c->resume || c->bake.keep || c->shares || c->given_first))
+            usage_error(state,
+                        "--error finds the photons by itself: no --time, --photons, --resume, --keep, --share or --first with it");
         if (c->target.error > 0 && c->bake.output_flux_lm > 0)
             usage_error(state, "--error and --output-flux exclude each other; give --flux");
         if (c->bake.flux_lm > 0 && c->bake.output_flux_lm > 0)
@@ -311,7 +315,8 @@ static void show_bake(void *self, unsigned bake, uint64_t photons, uint64_t cell
 {
     const command *c = self;
     fprintf(stderr, "%sbake %u: %.3g M photons, %.3g M cells: %s error %.3g +- %.2g %%", c->terminal ? "\r\033[K" : "", bake,
-            1e-6 * (double)photons, 1e-6 * (double)cells, judge_measure_name(c->target.of), 100 * error.rms, 100 * error.standard_error);
+            1e-6 * (double)photons, 1e-6 * (double)cells, judge_measure_name(c->target.of), 100 * error.rms,
+            100 * error.standard_error);
     if (next > 0)
         fprintf(stderr, "; next %.3g M photons", 1e-6 * (double)next);
     fputc('\n', stderr);
@@ -400,10 +405,11 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                                   (json_int_t)r->gathered_rays, "flux_share", json_number(gathered ? strtod(gathered, NULL) : 0),
                                   "why", r->gather_why));
     if (c->target.error > 0)
-        json_object_set_new(o, "error", json_pack("{s:s, s:f, s:o, s:o, s:b, s:i}", "of", judge_measure_name(c->target.of), "asked",
-                                                  c->target.error, "rms", json_number(c->reached.error.rms), "standard_error",
-                                                  json_number(c->reached.error.standard_error), "within", c->reached.within, "bakes",
-                                                  (int)c->reached.bakes));
+        json_object_set_new(o, "error",
+                            json_pack("{s:s, s:f, s:o, s:o, s:b, s:i}", "of", judge_measure_name(c->target.of), "asked",
+                                      c->target.error, "rms", json_number(c->reached.error.rms), "standard_error",
+                                      json_number(c->reached.error.standard_error), "within", c->reached.within, "bakes",
+                                      (int)c->reached.bakes));
     json_object_set_new(o, "effects", json_string(effects));
     json_object_set_new(o, "effect_plan", json_plan(&r->plan));
     json_object_set_new(o, "slabs", json_integer(y->slab_count));
@@ -418,7 +424,8 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                                   seconds));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "bytes_foretold", r->size_foretold > 0 ? json_number(r->size_foretold) : json_null());
-    json_object_set_new(o, "rounding", json_pack("{s:o, s:o}", "loss", json_number(c->lost.loss), "half_loss", json_number(c->lost.half_loss)));
+    json_object_set_new(o, "rounding",
+                        json_pack("{s:o, s:o}", "loss", json_number(c->lost.loss), "half_loss", json_number(c->lost.half_loss)));
     json_object_set_new(o, "interrupted", json_boolean(r->interrupted));
     json_object_set_new(o, "resumed", json_boolean(r->resumed));
     json_object_set_new(o, "part", r->interrupted || c->bake.keep ? json_string(c->part) : json_null());
@@ -485,8 +492,7 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
         printf("cells rounded by %.2g of their noise; ", c->lost.loss);
     else
         printf("lossless; ");
-    printf("%.1f s in all (plan %.1f s, pilot %.1f s)\n", seconds, r->plan_seconds,
-           r->pilot_seconds);
+    printf("%.1f s in all (plan %.1f s, pilot %.1f s)\n", seconds, r->plan_seconds, r->pilot_seconds);
 }
 
 /* What the ledger gives reason to warn of. */
@@ -496,7 +502,8 @@ static void print_remarks(const bake_report *r)
     if (r->tally.lost_inside > 0)
         fprintf(stderr,
                 "warning: %.3g %% of the light left the model while inside a solid dielectric: its mesh is open, its faces point "
-                "inwards, or it touches another solid face to face; close it, declare it thin-walled (--set thin:MATERIAL), or leave a gap\n",
+                "inwards, or it touches another solid face to face; close it, declare it thin-walled (--set thin:MATERIAL), or "
+                "leave a gap\n",
                 100 * r->tally.lost_inside / n);
     if (r->tally.lost - r->tally.lost_inside > 1e-6 * n)
         fprintf(stderr, "warning: %.3g %% of the light was lost to numerical errors\n",
@@ -514,10 +521,12 @@ static lmg_result write_in_size(command *c, const lmg_field *field, lmg_error *e
 {
     lmg_result result = write_box(field, c->output, c->lossless, &c->lost, err);
     const double most = c->bake.size * SIZE_SLACK;
-    for (double loss = 2 * BAKE_ROUNDING; result == LMG_OK && most > 0 && !c->lossless && loss <= MOST_ROUNDING && (double)bytes_of(c->output) > most; loss *= 2)
+    for (double loss = 2 * BAKE_ROUNDING;
+         result == LMG_OK && most > 0 && !c->lossless && loss <= MOST_ROUNDING && (double)bytes_of(c->output) > most; loss *= 2)
         result = lmg_field_write_rounded(field, c->output, loss, &c->lost, err);
     if (result == LMG_OK && most > 0 && (double)bytes_of(c->output) > most && !c->quiet)
-        fprintf(stderr, "warning: %.2f MB are more than the %.2f MB asked for; --cells with fewer than the box has makes it smaller\n",
+        fprintf(stderr,
+                "warning: %.2f MB are more than the %.2f MB asked for; --cells with fewer than the box has makes it smaller\n",
                 1e-6 * (double)bytes_of(c->output), 1e-6 * c->bake.size);
     return result;
 }
@@ -623,9 +632,10 @@ static int bake_or_help(command *c)
         code = help(c, model, result, &err);
     } else {
         if (result == LMG_OK)
-            result = c->target.error > 0 && c->bake.team
-                         ? lmg_fail(&err, LMG_ERROR_UNSUPPORTED, "--error makes several bakes, in one process: run it without mpirun")
-                         : find_checkpoint(c, &err);
+            result =
+                c->target.error > 0 && c->bake.team
+                    ? lmg_fail(&err, LMG_ERROR_UNSUPPORTED, "--error makes several bakes, in one process: run it without mpirun")
+                    : find_checkpoint(c, &err);
         if (result != LMG_OK) {
             code = report_error(result, &err);
         } else {

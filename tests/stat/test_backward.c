@@ -281,8 +281,8 @@ static void compare_cells(counted *c, const char *name, double rays_per_photon)
     print_message("%s: %d cells with %.1f %% of the flux: chi-square %.0f, p %.2g; gathered flux %+.3f %% +- %.3f %%\n", name,
                   cells, 100 * flux[0] / (c->tally.escaped * unit), chi2, stats_chi_square_tail(chi2, cells),
                   100 * (flux[1] / flux[0] - 1), 100 * sqrt(variance) / flux[0]);
-    assert_true(cells > 30);
-    assert_true(flux[0] > 0.5 * c->tally.escaped * unit);
+    assert_true(cells > (SLOWER > 1 ? 3 : 30)); /* few photons fill few cells */
+    assert_true(SLOWER > 1 || flux[0] > 0.5 * c->tally.escaped * unit);
     assert_true(stats_chi_square_tail(chi2, cells) > 1e-4);
     assert_true(fabs(z) < 3.5); /* one in 2000 */
 }
