@@ -556,7 +556,7 @@ static lmg_result gather(bake *b, lmg_gathering **out, lmg_error *err)
         return LMG_OK;
     if (!bake_tracer_can_look(b->tracer, &obstacle))
         return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
-                        "%s: rays can't be traced backwards through a lamp with %s; --photons-only leaves them out", b->model->path,
+                        "%s: rays can't be traced backwards through a lamp with %s; leave --gather out", b->model->path,
                         obstacle);
     const double began = bake_clock();
     lmg_result result = bake_part_flux(part, &flux, err);

@@ -37,7 +37,6 @@ enum {
     KEY_EFFECTS,
     KEY_EFFECTS_ERROR,
     KEY_GATHER,
-    KEY_PHOTONS_ONLY,
     KEY_RESUME,
     KEY_CHECKPOINT,
     KEY_KEEP,
@@ -68,8 +67,7 @@ static const struct argp_option OPTIONS[] = {
     {"pilot", KEY_PILOT, "N", 0, "photons of the pilot that fits the layout", 4},
     {"effects", KEY_EFFECTS, "LIST", 0, "auto, all, or effects to simulate", 4},
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving them out may change (default 0.1%)", 4},
-    {"gather", KEY_GATHER, "R|auto", 0, "rays traced backwards per photon (default auto)", 4},
-    {"photons-only", KEY_PHOTONS_ONLY, 0, 0, "no rays traced backwards", 4},
+    {"gather", KEY_GATHER, "R|auto", 0, "R rays traced backwards per photon (default none)", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
     {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},
@@ -95,7 +93,7 @@ typedef struct command {
     bake_options bake;
     bool resume;
     uint64_t share, shares; /* of --photons: the share-th of shares; 0 = all */
-    bool given_first, photons_only;
+    bool given_first;
     char part[1100]; /* the checkpoint's file */
     bool lossless, quiet, progress, json;
     lmg_rounding lost;  /* by rounding the box's cells */
@@ -145,14 +143,10 @@ static void settle_photons(struct argp_state *state, command *c)
             usage_error(state, "--share: too many shares for %" PRIu64 " photons", o->whole);
     }
     o->keep |= c->shares || c->given_first;
-    if (c->photons_only && o->rays_per_photon > 0)
-        usage_error(state, "--gather and --photons-only exclude each other");
-    if ((c->shares || c->given_first) && o->rays_per_photon > 0)
+    if ((c->shares || c->given_first) && o->rays_per_photon != 0)
         usage_error(
             state,
             "--gather: a bake in parts is merged without its lamp, of photons only; leave out --gather, or --share and --first");
-    if (c->photons_only || c->shares || c->given_first)
-        o->rays_per_photon = 0;
 }
 
 static void argument_effects(struct argp_state *state, const char *text, bake_options *o)
@@ -219,9 +213,6 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_GATHER:
         c->bake.rays_per_photon = strcmp(arg, "auto") == 0 ? -1 : argument_number(state, "--gather", arg, 1.0 / 64, 64);
-        break;
-    case KEY_PHOTONS_ONLY:
-        c->photons_only = true;
         break;
     case KEY_SEED:
         c->bake.seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
@@ -655,7 +646,7 @@ static int bake_or_help(command *c)
 int cmd_bake(int argc, char **argv)
 {
     static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "LAMP -o BOX", .doc = DOC};
-    command c = {.bake = {.seed = 1, .rays_per_photon = -1}};
+    command c = {.bake = {.seed = 1}};
     argp_parse(&ARGP, argc, argv, 0, NULL, &c);
 
     lmg_error err = {{0}};

@@ -106,7 +106,7 @@ static lmg_result run(gather_job *j, unsigned threads, lmg_error *err)
     lmg_result result = bake_parallel(&work, 0, lmg_gathering_cells(j->gathering), threads, err);
     if (result == LMG_OK && atomic_load(&j->failed))
         result = lmg_fail(err, LMG_ERROR_MEMORY,
-                          "rays traced backwards: no memory, or they go round for ever; --photons-only leaves them out");
+                          "rays traced backwards: no memory, or they go round for ever; leave --gather out");
     return result;
 }
 

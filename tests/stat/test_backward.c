@@ -283,7 +283,7 @@ static void compare_cells(counted *c, const char *name, double rays_per_photon)
                   100 * (flux[1] / flux[0] - 1), 100 * sqrt(variance) / flux[0]);
     assert_true(cells > (SLOWER > 1 ? 3 : 30)); /* few photons fill few cells */
     assert_true(SLOWER > 1 || flux[0] > 0.5 * c->tally.escaped * unit);
-    assert_true(stats_chi_square_tail(chi2, cells) > 1e-4);
+    assert_true(SLOWER > 1 || stats_chi_square_tail(chi2, cells) > 1e-4); /* too few for a normal law */
     assert_true(fabs(z) < 3.5); /* one in 2000 */
 }
 
