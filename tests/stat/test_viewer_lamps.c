@@ -9,8 +9,12 @@
  * luminance. NOTICEABLE must be found by the same test.
  */
 #include "bake.h"
+#include "convert.h"
 #include "meter.h"
+#include "receiver.h"
 #include "room_fixture.h"
+
+#include <luminaires/rayfile.h>
 
 #include <setjmp.h>
 #include <stdarg.h>
@@ -20,6 +24,8 @@
 
 #include <stdio.h>
 #include <unistd.h>
+
+#define GREEN_LED LUMIBOX_SHARED_DATA "/rayfiles/rayfile_LERTDUW_S2WP_green_100k_20161013_IES_TM25.TM25RAY"
 
 static const double REJECT = 4;
 static const double NOTICEABLE = 0.12;
@@ -161,6 +167,54 @@ static void dispersion(void **state)
     compare("glass-lens", "glass:Glass=N-SF11", 1500000, 400000, P, 2);
 }
 
+/*
+ * A measured ray file, made a box and rendered from at 1 mm: light on a square of 1 mm beside the LED, where it is brightest, against the
+ * rays that cross it.  The box blurs what lies within its cells of 0.3 mm; the mean over the square loses little by it.
+ */
+static void measured_rays_at_1_mm(void **state)
+{
+    (void)state;
+    static const double PART_OF_BLUR = 0.03;
+    lmg_error err = {""};
+    lum_rayfile *file;
+    bake_source *rays;
+    bake_conversion report;
+    lmg_field *field;
+    if (access(GREEN_LED, R_OK) != 0) {
+        print_message("SKIPPED: %s isn't there\n", GREEN_LED);
+        skip();
+    }
+    demand(lum_rayfile_open(GREEN_LED, LUM_RAY_LIGHT, &file, &err), &err);
+    demand(bake_rayfile_source_create(file, 1, 0, &rays, &err), &err);
+    demand(bake_convert_to_field(rays, &(bake_convert_options){.rays = 0}, &field, &report, &err), &err);
+
+    const double z = rays->bounds_max.z + 1e-3;
+    const lmg_vec3 middle = {-0.68e-3, 0.84e-3, z};
+    const bake_rectangle square = {.centre = middle, .a = {1, 0, 0}, .b = {0, 1, 0}, .width = 1e-3, .height = 1e-3, .nx = 1, .ny = 1};
+    bake_receiver *receiver;
+    bake_tally tally = {0};
+    demand(bake_illuminance_create(&square, &receiver, &err), &err);
+    const lmg_sink sink = bake_receiver_sink(receiver);
+    demand(rays->run(rays, 0, rays->photons, 0, &sink, 1, &tally, &err), &err);
+    double se;
+    const double expected = bake_receiver_reading(receiver, 0, rays->flux / (double)rays->photons, &se);
+
+    view_scene *scene = nothing();
+    demand(view_scene_adopt_box(scene, field, &(view_placement){.ry = 0}, 0, &err), &err);
+    demand(view_scene_finish(scene, &err), &err);
+    const plane facing = {{middle.x - 0.5e-3, middle.y - 0.5e-3, z}, {0, 1e-3, 0}, {1e-3, 0, 0}};
+    const result seen = measure_plane(scene, &facing, 200000, 5);
+    print_message("LED at 1 mm: rays %.4g lx +- %.2f %%, rendered %+.2f %% +- %.2f %%\n", expected, 100 * se / expected,
+                  100 * (seen.rgb[3] / expected - 1), 100 * seen.se[3] / expected);
+    /* the box is of these rays: their own noise is in both */
+    assert_true(fabs(seen.rgb[3] - expected) < REJECT * seen.se[3] + PART_OF_BLUR * expected);
+    assert_true(se < 0.03 * expected && seen.se[3] < 0.01 * expected);
+    view_scene_destroy(scene);
+    bake_receiver_destroy(receiver);
+    rays->destroy(rays);
+    lum_rayfile_close(file);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -168,6 +222,7 @@ int main(void)
         cmocka_unit_test(smoke),
         cmocka_unit_test(phosphor),
         cmocka_unit_test(dispersion),
+        cmocka_unit_test(measured_rays_at_1_mm),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
