@@ -28,6 +28,9 @@ static lmg_result stopped(const bake_convert_options *o, lmg_error *err)
     return o->stop && *o->stop ? lmg_fail(err, LMG_ERROR_INTERNAL, "interrupted; nothing was written") : LMG_OK;
 }
 
+/* Cells of light that is the same all over its rectangle: few places, and fine directions. */
+static const uint32_t EVEN[4] = {4, 4, 128, 128};
+
 static lmg_result choose_photons(const bake_source *source, const bake_convert_options *o, uint64_t *photons, lmg_error *err)
 {
     *photons = o->rays ? o->rays : source->photons ? source->photons : DEFAULT_RAYS;
@@ -87,6 +90,10 @@ static lmg_result fit_layout(bake_source *source, const bake_convert_options *o,
             const double cells = CELLS_PER_RAY * (double)photons;
             fit.cells = cells < (double)CELLS_LEAST ? CELLS_LEAST : cells > (double)CELLS_MOST ? CELLS_MOST : (uint64_t)cells;
         }
+        /* as many cells as asked for, or as the rays' number says, are shared out as for any light */
+        const bool chosen = fit.cells || fit.resolution[0] || fit.resolution[1] || fit.resolution[2] || fit.resolution[3];
+        if (source->even && !chosen)
+            memcpy(fit.resolution, EVEN, sizeof(EVEN));
         result = lmg_layout_fit(sorted, rays, &fit, layout, why, err);
         if (result == LMG_OK)
             snap_to_bounds(layout);

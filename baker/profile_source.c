@@ -105,6 +105,7 @@ lmg_result bake_profile_source_create(const lum_photometry *photometry, uint64_t
     p->source.flux = lum_profile_flux(p->profile);
     p->source.bounds_min = (lmg_vec3){-half.x, -half.y, -half.z};
     p->source.bounds_max = half;
+    p->source.even = p->shape.kind == LUM_SHAPE_POINT || p->shape.kind == LUM_SHAPE_RECTANGLE;
     *out = &p->source;
     return LMG_OK;
 }

@@ -26,6 +26,7 @@ struct bake_source {
     void (*destroy)(bake_source *source);
     double flux;                     /* lumens emitted, so that lumens_per_unit = flux / photons */
     uint64_t photons;                /* that it has, from number 0 on: the rays of a file; 0 = as many as are asked for */
+    bool even;                       /* a rectangle that looks equally bright all over: where light leaves says nothing of where it goes */
     double flux_se;                  /* its standard error: of a box, from the box's own bake; 0 where it is known */
     lmg_vec3 bounds_min, bounds_max; /* luminaire frame, metres */
 };
