@@ -71,7 +71,7 @@ static char *document(const soup *s)
         "\"nodes\":[{\"name\":\"Tray\",\"mesh\":0}],"
         "\"meshes\":[{\"name\":\"Tray\",\"primitives\":[{\"attributes\":{\"POSITION\":0%s},\"indices\":2,\"material\":0}]}],"
         "\"materials\":[{\"pbrMetallicRoughness\":{\"baseColorFactor\":[0,0,0,1],\"metallicFactor\":0},\"emissiveFactor\":[1,1,1],"
-        "\"extensions\":{\"KHR_materials_emissive_strength\":{\"emissiveStrength\":100000}}}],"
+        "\"extensions\":{\"KHR_materials_emissive_strength\":{\"emissiveStrength\":1000}}}],"
         "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":%u,\"type\":\"VEC3\",\"min\":[-1,-1,-1],\"max\":[1,1,1]}"
         ","
         "{\"bufferView\":1,\"componentType\":5126,\"count\":%u,\"type\":\"VEC3\"},{\"bufferView\":2,\"componentType\":5125,"
