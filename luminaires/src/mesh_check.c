@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What the meshes are like: area, openness and enclosed volume of each part, and faces that lie on each other.  Equal positions
+/* What the meshes are like: area, openness, winding and enclosed volume of each part, and faces that lie on each other.  Equal positions
  * count as one vertex, whatever their normals and texture coordinates: exporters split vertices there. */
 #include "model_build.h"
 
@@ -67,7 +67,8 @@ static lmg_result weld(const lum_model *m, uint32_t *same, lmg_error *err)
     return LMG_OK;
 }
 
-static lmg_result count_boundary(lum_model *m, const uint32_t *same, lmg_error *err)
+/* Edges of one triangle, and those that both of their triangles run along the same way. */
+static lmg_result count_edges(lum_model *m, const uint32_t *same, lmg_error *err)
 {
     for (uint32_t p = 0; p < m->part_count; p++) {
         lum_part *part = &m->parts[p];
@@ -77,11 +78,15 @@ static lmg_result count_boundary(lum_model *m, const uint32_t *same, lmg_error *
             const uint32_t *corner = m->indices + 3 * ((size_t)part->first_triangle + i);
             for (int k = 0; k < 3; k++) {
                 uint32_t a = same[corner[k]], b = same[corner[(k + 1) % 3]];
-                table_at(&t, a < b ? a : b, a < b ? b : a, 0)->count++;
+                entry *e = table_at(&t, a < b ? a : b, a < b ? b : a, 0);
+                e->count++;
+                e->value += a < b ? 1 : (uint32_t)-1;
             }
         }
-        for (size_t i = 0; i <= t.mask; i++)
+        for (size_t i = 0; i <= t.mask; i++) {
             part->boundary_edges += t.entries[i].count == 1;
+            part->turned_edges += t.entries[i].count == 2 && t.entries[i].value != 0;
+        }
         free(t.entries);
     }
     return LMG_OK;
@@ -131,10 +136,10 @@ static bool lets_light_through(const lum_material *m)
 static lmg_result scan_coincident(lum_build *b, const uint32_t *same, table *t, pair **pairs, uint32_t *pair_count)
 {
     lum_model *m = b->model;
-    uint32_t kept = 0, dropped = 0;
+    uint32_t kept = 0;
     for (uint32_t p = 0; p < m->part_count; p++) {
         lum_part *part = &m->parts[p];
-        uint32_t first = kept, last = part->first_triangle + part->triangle_count;
+        uint32_t first = kept, last = part->first_triangle + part->triangle_count, dropped = 0;
         for (uint32_t i = part->first_triangle; i < last; i++) {
             uint32_t v[3];
             for (int k = 0; k < 3; k++)
@@ -156,10 +161,11 @@ static lmg_result scan_coincident(lum_build *b, const uint32_t *same, table *t, 
         }
         part->first_triangle = first;
         part->triangle_count = kept - first;
+        if (dropped)
+            lum_warn(b, "mesh \"%.60s\": %u triangle%s another one of the same material: left out", part->mesh, dropped,
+                     dropped == 1 ? " repeats" : "s repeat");
     }
     m->triangle_count = kept;
-    if (dropped)
-        lum_warn(b, "%u triangle%s another one of the same material: left out", dropped, dropped == 1 ? " repeats" : "s repeat");
     return LMG_OK;
 }
 
@@ -312,7 +318,7 @@ lmg_result lum_check_meshes(lum_build *b)
     if (!result)
         result = find_coincident(b, same);
     if (!result)
-        result = count_boundary(m, same, b->err);
+        result = count_edges(m, same, b->err);
     measure(m);
     free(same);
     return result;

@@ -319,6 +319,7 @@ static lmg_result append_vertices(lum_build *b, primitive *p, const lum_affine *
     lum_model *m = b->model;
     double *to = b->positions + 3 * (size_t)m->vertex_count;
     float *normal = m->normals + 3 * (size_t)m->vertex_count;
+    uint64_t without = 0;
     for (uint64_t v = 0; v < p->vertices; v++) {
         const double *x = p->position + 3 * v;
         for (int i = 0; i < 3; i++) {
@@ -335,12 +336,15 @@ static lmg_result append_vertices(lum_build *b, primitive *p, const lum_affine *
             turn(cofactors, p->normal + 3 * v, mirror, turned);
         for (int i = 0; i < 3; i++)
             normal[3 * v + (uint64_t)i] = (float)turned[i];
+        without += p->normal && turned[0] == 0 && turned[1] == 0 && turned[2] == 0;
         if (p->tangent) {
             turn(linear, p->tangent + 4 * v, 1, turned);
             memcpy(p->tangent + 4 * v, turned, sizeof turned);
             p->tangent[4 * v + 3] = (p->tangent[4 * v + 3] < 0 ? -1 : 1) * mirror;
         }
     }
+    if (without) /* complete_normals mends them */
+        lum_warn(b, "mesh \"%.60s\": %llu of its normals are zero: those of the faces around are taken", p->name, (unsigned long long)without);
     LUM_TRY(append(b, p, p->uv[0], 2, 0, &m->uv[0]));
     LUM_TRY(append(b, p, p->uv[1], 2, 0, &m->uv[1]));
     LUM_TRY(append(b, p, p->color, 4, 1, &m->colors));

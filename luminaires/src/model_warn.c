@@ -171,6 +171,12 @@ static void warn_transparency(lum_build *b)
                      "solid glass. If it is a wall drawn as one sheet: recipe entry \"thin\"",
                      part->mesh, material->name, part->boundary_edges);
             said[part->material] = true;
+        } else if (solid && part->turned_edges > 0) {
+            lum_warn(b,
+                     "mesh \"%.60s\" (material \"%.60s\") is a solid that transmits light, but some of its faces look inward and some outward "
+                     "(%u edges between them): light that meets the wrong ones is lost. Make its faces consistent in the model",
+                     part->mesh, material->name, part->turned_edges);
+            said[part->material] = true;
         } else if (solid && part->enclosed_volume < 0) {
             lum_warn(
                 b,

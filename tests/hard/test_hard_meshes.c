@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
  * Dirty meshes through glTF: a luminous square, its mesh spoilt in the ways that exporters spoil meshes.  It must load with the
- * flux of the clean one, or be refused with a line that names the mesh.  Solids of glass that are open or inconsistently wound:
- * what is lost is counted. With the argument "long": a lamp of 1e7 triangles.
+ * flux of the clean one, with a warning that names the mesh where something was repaired, or be refused with a line that names it.  Solids of
+ * glass that are open or inconsistently wound: a warning, and what is lost is counted. With the argument "long": a lamp of 1e7 triangles.
  */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -58,7 +58,13 @@ static uint32_t vertex(soup *s, float x, float y, float z)
     return s->vertices++;
 }
 
-static char *document(const soup *s)
+static const char LUMINOUS[] = "\"pbrMetallicRoughness\":{\"baseColorFactor\":[0,0,0,1],\"metallicFactor\":0},\"emissiveFactor\":[1,1,1],"
+                               "\"extensions\":{\"KHR_materials_emissive_strength\":{\"emissiveStrength\":1000}}";
+static const char GLASS[] = "\"pbrMetallicRoughness\":{\"metallicFactor\":0,\"roughnessFactor\":0},\"extensions\":{\"KHR_materials_transmission\":"
+                            "{\"transmissionFactor\":1},\"KHR_materials_volume\":{\"thicknessFactor\":0.1}}";
+
+/* Writes the soup as mesh "Tray" of this material; returns the file's path. */
+static const char *write_soup(const soup *s, const char *material)
 {
     const size_t p = s->vertices * sizeof(s->positions[0]), i = s->count * sizeof(uint32_t);
     unsigned char *bytes = malloc(2 * p + i);
@@ -67,11 +73,11 @@ static char *document(const soup *s)
     memcpy(bytes + 2 * p, s->indices, i);
     char *uri = gltf_data_uri(bytes, 2 * p + i);
     char *text = gltf_text(
-        "{\"asset\":{\"version\":\"2.0\"},\"extensionsUsed\":[\"KHR_materials_emissive_strength\"],\"scenes\":[{\"nodes\":[0]}],"
-        "\"nodes\":[{\"name\":\"Tray\",\"mesh\":0}],"
+        "{\"asset\":{\"version\":\"2.0\"},\"extensionsUsed\":[\"KHR_materials_emissive_strength\",\"KHR_materials_transmission\","
+        "\"KHR_materials_volume\"],\"scenes\":[{\"nodes\":[0]}],"
+        "\"nodes\":[{\"name\":\"Node\",\"mesh\":0}],"
         "\"meshes\":[{\"name\":\"Tray\",\"primitives\":[{\"attributes\":{\"POSITION\":0%s},\"indices\":2,\"material\":0}]}],"
-        "\"materials\":[{\"pbrMetallicRoughness\":{\"baseColorFactor\":[0,0,0,1],\"metallicFactor\":0},\"emissiveFactor\":[1,1,1],"
-        "\"extensions\":{\"KHR_materials_emissive_strength\":{\"emissiveStrength\":1000}}}],"
+        "\"materials\":[{\"name\":\"Paint\",%s}],"
         "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":%u,\"type\":\"VEC3\",\"min\":[-1,-1,-1],\"max\":[1,1,1]}"
         ","
         "{\"bufferView\":1,\"componentType\":5126,\"count\":%u,\"type\":\"VEC3\"},{\"bufferView\":2,\"componentType\":5125,"
@@ -79,103 +85,155 @@ static char *document(const soup *s)
         "\"bufferViews\":[{\"buffer\":0,\"byteLength\":%zu},{\"buffer\":0,\"byteOffset\":%zu,\"byteLength\":%zu},{\"buffer\":0,"
         "\"byteOffset\":%zu,\"byteLength\":%zu}],"
         "\"buffers\":[{\"byteLength\":%zu,\"uri\":\"%s\"}]}",
-        s->with_normals ? ",\"NORMAL\":1" : "", s->vertices, s->vertices, s->count, p, p, p, 2 * p, i, 2 * p + i, uri);
+        s->with_normals ? ",\"NORMAL\":1" : "", material, s->vertices, s->vertices, s->count, p, p, p, 2 * p, i, 2 * p + i, uri);
+    const char *path = hard_path("dirty.gltf");
+    FILE *f = fopen(path, "w");
+    assert_non_null(f);
+    fputs(text, f);
+    fclose(f);
+    free(text);
     free(bytes);
     free(uri);
-    return text;
+    return path;
 }
 
 static const double PI = 3.14159265358979323846;
 
-/* pi L A of the clean square. */
-static void same_flux(const char *name, const soup *s)
+/* The only warning of a model, or all of them counted. */
+static const char *only_warning(const lum_model *m)
 {
-    char *text = document(s);
-    const char *path = hard_path("dirty.gltf");
-    FILE *f = fopen(path, "w");
-    fputs(text, f);
-    fclose(f);
-    free(text);
-    lum_model *m;
-    lmg_error err = {{0}};
-    const lmg_result result = lum_model_load(path, NULL, &m, &err);
-    if (result != LMG_OK) {
-        hard_holds(name, "the flux of the clean mesh, or refused with a line that names the file",
-                   strstr(err.message, "dirty.gltf") != NULL, "refused: %.200s",
-                   strstr(err.message, "dirty.gltf") ? strstr(err.message, "dirty.gltf") : err.message);
-        return;
-    }
+    return m->warning_count == 0 ? "no warning" : m->warning_count == 1 ? m->warnings[0] : hard_text("%u warnings", m->warning_count);
+}
+
+/* It has pi L A of the clean square; warning: what the one warning says, which also names the mesh, NULL: nothing needs one. */
+static void repaired(const char *name, const soup *s, const char *warning)
+{
+    lum_model *m = hard_load(write_soup(s, LUMINOUS), NULL);
     bake_source *t = hard_tracer(m, 3);
     const bake_tally tally = hard_trace(t, 20000, NULL);
     const double flux = t->flux / (PI * 1000 * 0.04);
-    hard_holds(name, "the flux of the clean mesh, or refused with a line that names the file",
-               fabs(flux - 1) < 1e-5 && tally.lost == 0 && tally.escaped == tally.emitted, "flux x %.6f, %u warnings%s%.120s", flux,
-               m->warning_count, m->warning_count ? ": " : "", m->warning_count ? m->warnings[0] : "");
+    const char *said = only_warning(m);
+    hard_holds(name, "the flux of the clean mesh, and a warning that names the mesh where something was repaired",
+               fabs(flux - 1) < 1e-5 && tally.lost == 0 && tally.escaped == tally.emitted &&
+                   (warning ? strstr(said, warning) && strstr(said, "mesh \"Tray\"") : m->warning_count == 0),
+               "flux x %.6f, %.150s", flux, said);
     t->destroy(t);
     lum_model_destroy(m);
+}
+
+static void refused(const char *name, const soup *s, const char *message)
+{
+    lum_model *m;
+    lmg_error err = {{0}};
+    const lmg_result result = lum_model_load(write_soup(s, LUMINOUS), NULL, &m, &err);
+    const char *line = strstr(err.message, "dirty.gltf");
+    hard_holds(name, "refused with a line that names file and mesh",
+               result == LMG_ERROR_INPUT && line && strstr(line, message) && strstr(line, "\"Tray\"") && !strchr(line, '\n'), "%.200s",
+               line ? line : err.message);
 }
 
 static void test_dirty(void **state)
 {
     (void)state;
     soup s = clean();
-    same_flux("clean square", &s);
+    repaired("clean square", &s, NULL);
 
     add(&s, 0, 0, 1);
     add(&s, 2, 2, 2);
-    same_flux("degenerate triangles: equal corners", &s);
+    repaired("degenerate triangles: equal corners", &s, "2 triangles without area");
 
     s = clean();
     const uint32_t half = vertex(&s, 0, 0, -0.1f);
     add(&s, 0, half, 1);
-    same_flux("degenerate triangle: corners in a line", &s);
+    repaired("degenerate triangle: corners in a line", &s, "1 triangle without area");
 
     s = clean();
     const uint32_t a = vertex(&s, -0.1f, 0, 0.1f + 1e-9f), b = vertex(&s, 0.1f, 0, 0.1f + 1e-8f);
     add(&s, 3, b, a);
-    same_flux("sliver of 1e-8 of its length", &s);
+    repaired("sliver thinner than the rounding of its corners", &s, "1 triangle without area");
+
+    s = clean();
+    add(&s, 3, 2, vertex(&s, 0.1f, 0, 0.1f + 2e-6f));
+    repaired("sliver of 1e-5 of its length", &s, NULL);
 
     s = clean();
     add(&s, 0, 1, 2);
     add(&s, 1, 2, 0);
-    same_flux("duplicate faces, the same way round", &s);
+    repaired("duplicate faces, the same way round", &s, "2 triangles repeat another one");
 
     s = clean();
     vertex(&s, 50, -3, 8);
     vertex(&s, 1e30f, 0, 0);
-    same_flux("isolated vertices, one at 1e30", &s);
-
-    s = clean();
-    vertex(&s, NAN, 0, 0);
-    same_flux("isolated vertex with NaN", &s);
-
-    s = clean();
-    s.positions[1][2] = NAN;
-    same_flux("NaN in a corner", &s);
-
-    s = clean();
-    s.positions[2][0] = (float)INFINITY;
-    same_flux("infinity in a corner", &s);
+    repaired("isolated vertices, one at 1e30", &s, NULL);
 
     s = clean();
     s.with_normals = true;
-    memset(s.normals, 0, sizeof(s.normals));
-    same_flux("zero normals", &s);
+    memset(s.normals[1], 0, 2 * sizeof(s.normals[0]));
+    repaired("zero normals", &s, "2 of its normals are zero");
 
     s = clean();
     s.with_normals = true;
     for (int i = 0; i < 4; ++i)
         s.normals[i][1] = 1;
-    same_flux("flipped normals", &s);
+    repaired("flipped normals: the winding says what is front", &s, NULL);
+
+    s = clean();
+    vertex(&s, NAN, 0, 0);
+    refused("isolated vertex with NaN", &s, "vertex 4 is not finite");
+
+    s = clean();
+    s.positions[1][2] = NAN;
+    refused("NaN in a corner", &s, "vertex 1 is not finite");
+
+    s = clean();
+    s.positions[2][0] = (float)INFINITY;
+    refused("infinity in a corner", &s, "vertex 2 is not finite");
 
     s = clean();
     s.with_normals = true;
     s.normals[1][0] = NAN;
-    same_flux("NaN in a normal", &s);
+    refused("NaN in a normal", &s, "NORMAL");
 
     s = clean();
     s.indices[4] = 4000000000u;
-    same_flux("index beyond the vertices", &s);
+    refused("index beyond the vertices", &s, "4000000000");
+}
+
+/* A tetrahedron of glass, closed and outward, spoilt: what its one warning says besides the names. */
+static void test_warned_glass(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *name, *warning;
+        uint32_t indices[15];
+        uint32_t count;
+    } CASES[] = {
+        {"closed, faces outward", NULL, {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3}, 12},
+        {"open glass: a face missing", "is open (3 boundary edges)", {0, 2, 1, 0, 1, 3, 0, 3, 2}, 9},
+        {"inconsistent winding: a face turned", "(3 edges between them)", {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 3, 2}, 12},
+        {"all faces inward", "its faces look inward", {0, 1, 2, 0, 3, 1, 0, 2, 3, 1, 3, 2}, 12},
+        {"duplicate face", "1 triangle repeats another one", {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3, 2, 3, 1}, 15},
+    };
+    for (size_t i = 0; i < sizeof(CASES) / sizeof(CASES[0]); ++i) {
+        soup s = {.count = CASES[i].count};
+        vertex(&s, 0, 0, 0);
+        vertex(&s, 0.1f, 0, 0);
+        vertex(&s, 0, 0.1f, 0);
+        vertex(&s, 0, 0, 0.1f);
+        memcpy(s.indices, CASES[i].indices, sizeof(CASES[i].indices));
+        lum_model *m = hard_load(write_soup(&s, GLASS), NULL);
+        /* that it has no emitter is said, too */
+        const char *said = "no warning";
+        uint32_t others = 0;
+        for (uint32_t k = 0; k < m->warning_count; ++k)
+            if (!strstr(m->warnings[k], "nothing in it emits light")) {
+                said = m->warnings[k];
+                ++others;
+            }
+        hard_holds(hard_text("glass: %s", CASES[i].name), "a warning that names the mesh, none without cause",
+                   CASES[i].warning ? others == 1 && strstr(said, CASES[i].warning) && strstr(said, "mesh \"Tray\"") : others == 0, "%.220s", said);
+        lum_model_destroy(m);
+    }
 }
 
 /* A ball of glass under a source, some of its faces left out or turned round. */
@@ -315,6 +373,6 @@ int main(int argc, char **argv)
         return cmocka_run_group_tests_name("hard_long_meshes", tests, NULL, NULL);
     }
     hard_begin("meshes");
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_dirty), cmocka_unit_test(test_dirty_glass)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_dirty), cmocka_unit_test(test_warned_glass), cmocka_unit_test(test_dirty_glass)};
     return cmocka_run_group_tests_name("hard_meshes", tests, NULL, NULL);
 }

@@ -136,6 +136,7 @@ typedef struct lum_part {
     double area;              /* m2 */
     bool has_normals;         /* vertex normals came from the file: they say the true curve */
     uint32_t boundary_edges;  /* edges with one triangle, after welding equal positions: 0 = closed */
+    uint32_t turned_edges;    /* edges whose two triangles are wound against each other: 0 = front and back are the same all over */
     double enclosed_volume;   /* m3, signed: negative = inward-facing winding; meaningful when closed */
 } lum_part;
 
