@@ -120,13 +120,45 @@ static void destroy(bake_source *source)
     free(t);
 }
 
+/* What the triangles of a material enclose, m3, by the divergence theorem. */
+static void enclosed_volumes(const lum_model *model, double *volume)
+{
+    for (uint32_t i = 0; i < model->triangle_count; ++i) {
+        const uint32_t *corner = model->indices + 3 * (size_t)i;
+        const float *a = model->positions + 3 * (size_t)corner[0], *b = model->positions + 3 * (size_t)corner[1];
+        const float *c = model->positions + 3 * (size_t)corner[2];
+        double six = 0;
+        for (int k = 0; k < 3; ++k) {
+            const int l = (k + 1) % 3, m = (k + 2) % 3;
+            six += (double)a[k] * ((double)b[l] * (double)c[m] - (double)b[m] * (double)c[l]);
+        }
+        volume[model->triangle_material[i]] += six / 6;
+    }
+}
+
+static bool rank_media(const lum_model *model, tracer_medium *media)
+{
+    double *volume = calloc((size_t)model->material_count + 1, sizeof(*volume));
+    if (!volume)
+        return false;
+    enclosed_volumes(model, volume);
+    for (uint32_t i = 0; i < model->material_count; ++i)
+        for (uint32_t k = 0; media[i].solid && k < model->material_count; ++k) {
+            const bool higher = media[i].priority > media[k].priority, equal = media[i].priority == media[k].priority;
+            const double mine = fabs(volume[i]), its = fabs(volume[k]);
+            media[i].rank += media[k].solid && (higher || (equal && (mine < its || (mine == its && i > k))));
+        }
+    free(volume);
+    return true;
+}
+
 /* Which materials bound solids, and what those absorb. */
 static tracer_medium *list_media(const lum_model *model)
 {
     tracer_medium *media = calloc(model->material_count ? model->material_count : 1, sizeof(*media));
     for (uint32_t i = 0; media && i < model->material_count; ++i) {
         const lum_material *m = &model->materials[i];
-        media[i].solid = m->kind == LUM_SURFACE_PBR && !m->thin && m->transmission > 0;
+        media[i].solid = lum_material_is_solid(m);
         media[i].ior = m->ior;
         media[i].priority = m->priority;
         const bool clear = m->transmission == 1 && m->metallic == 0 && m->layers.present == 0 && m->alpha_mode == LUM_ALPHA_OPAQUE;
@@ -139,6 +171,10 @@ static tracer_medium *list_media(const lum_model *model)
         media[i].absorbs |= media[i].solid && m->spectral.absorption;
         lum_medium_set(&media[i].inside, m->scattering, m->absorption, m->anisotropy);
         media[i].scatters = media[i].solid && media[i].inside.scatters;
+    }
+    if (media && !rank_media(model, media)) {
+        free(media);
+        return NULL;
     }
     return media;
 }
@@ -229,7 +265,12 @@ lmg_result bake_tracer_create_with(const struct lum_model *model, uint32_t effec
         result = t->media ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the photon tracer");
     }
     if (result == LMG_OK) {
+        result = build(t, model, (const tracer *)like, err);
+    }
+    if (result == LMG_OK) {
         uint32_t features = needed_features(t->model, t->media);
+        if (features & TRACER_SOLIDS && lum_scene_touches(t->scene))
+            features |= TRACER_TOUCHING;
         if (!(effects & 1u << BAKE_POLARIZATION))
             features &= ~TRACER_POLARIZATION;
         t->features = features;
@@ -237,9 +278,6 @@ lmg_result bake_tracer_create_with(const struct lum_model *model, uint32_t effec
         t->kernel = choose_kernel(features);
         if (lum_model_is_spectral(t->model))
             result = lum_wave_tables_create(t->model, &t->spectral, err);
-    }
-    if (result == LMG_OK) {
-        result = build(t, model, (const tracer *)like, err);
     }
     if (result != LMG_OK) {
         destroy(&t->source);
@@ -350,6 +388,11 @@ bool bake_tracer_can_look(const bake_source *source, const char **why)
             in_the_way = CANT[i];
     if (in_the_way != BAKE_EFFECT_COUNT && why)
         *why = bake_effect_name(in_the_way);
+    if (in_the_way == BAKE_EFFECT_COUNT && t->features & TRACER_TOUCHING) {
+        if (why)
+            *why = "solids that touch";
+        return false;
+    }
     return in_the_way == BAKE_EFFECT_COUNT;
 }
 

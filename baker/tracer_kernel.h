@@ -13,7 +13,8 @@
  *     start()        it is born: position, direction, colour
  *     fly()          along a segment, before its end is looked at: absorption in solids
  *                    fly_through() in kernels with media: also scattering, which starts a new segment
- *     meet(), leave() at a surface: passing by, entering and leaving solids; scattering, in between, is done for all paths together
+ *     meet(), leave() at a surface (meet_layers() at several that lie on each other): passing by, entering and leaving solids;
+ *                    scattering, in between, is done for all paths together
  *     escape()       it leaves the model
  *
  * survivors() turns any loss into whole photons; of light by wavelength, survives().  Numbers are drawn where a model needs them,
@@ -91,6 +92,16 @@ typedef struct waiting_path {
  */
 enum { WAVE = 32 };
 
+#if KERNEL_FEATURES & TRACER_TOUCHING
+/* The boundaries of solids that lie on each other where a path is, each crossed by what goes through there; count 0: it met one
+ * surface only.  Outermost solids first. */
+typedef struct crossing {
+    uint32_t count;
+    int32_t material[LUM_MAX_HERE];
+    bool front[LUM_MAX_HERE];
+} crossing;
+#endif
+
 typedef struct worker {
     tracer_counts counts;
     tracer_survey *survey;
@@ -104,6 +115,9 @@ typedef struct worker {
 #endif
     path path[WAVE];
     bool goes_on[WAVE];
+#if KERNEL_FEATURES & TRACER_TOUCHING
+    crossing here[WAVE];
+#endif
     /* Paths that are to be scattered: what they meet, which they are, how many photons each stands for. */
     uint32_t met_count;
     lum_encounter met[WAVE];
@@ -257,13 +271,11 @@ static inline bool survives_surface(const tracer *t, worker *w, path *p, int32_t
     return survives(w, p, share);
 }
 
-/* Before a boundary where directions depend on the wavelength, one goes on alone.  False if nothing is left of it. */
-static inline bool choose_wave(const tracer *t, worker *w, path *p, int32_t material)
+/* Before a boundary where directions depend on the wavelength, one goes on alone.  outside: the solid on its front side, or -1.
+ * False if nothing is left of it. */
+static inline bool choose_wave(const tracer *t, worker *w, path *p, int32_t material, int32_t outside)
 {
-    bool refracts = t->spectral->materials[material].refracts;
-#if KERNEL_FEATURES & TRACER_SOLIDS
-    refracts |= p->nested > 0 && t->spectral->materials[p->inside[p->nested - 1]].refracts;
-#endif
+    const bool refracts = t->spectral->materials[material].refracts || (outside >= 0 && t->spectral->materials[outside].refracts);
     if (!refracts || p->waves.count == 1)
         return true;
     return change_luminance(w, p, lum_waves_choose(&p->waves, lum_rng_next(&p->rng)));
@@ -400,20 +412,113 @@ static lmg_vec3 straight_on(const lum_hit *hit, lmg_vec3 origin, lmg_vec3 d)
     return (lmg_vec3){origin.x + beyond * d.x, origin.y + beyond * d.y, origin.z + beyond * d.z};
 }
 
-/* Index of the medium on the front side of a boundary of `material` that the path meets from the front or from inside. */
-static float index_outside(const tracer *t, const path *p, int32_t material, bool front)
+/* The solid on the front side of a boundary of `material` that the path meets from the front or from inside, or -1. */
+static int32_t solid_outside(const path *p, int32_t material, bool front)
 {
     uint32_t n = p->nested;
     if (!front && n > 0 && p->inside[n - 1] == material)
         --n;
-    if (n == 0)
+    return n > 0 ? p->inside[n - 1] : -1;
+}
+
+static float index_of_solid(const tracer *t, const path *p, int32_t solid)
+{
+    if (solid < 0)
         return 1.0f;
-    const float index = t->media[p->inside[n - 1]].ior;
+    const float index = t->media[solid].ior;
 #if KERNEL_FEATURES & TRACER_SPECTRAL
     if (t->spectral)
-        return lum_waves_index(t->spectral, p->inside[n - 1], &p->waves, index);
+        return lum_waves_index(t->spectral, solid, &p->waves, index);
+#else
+    (void)p;
 #endif
     return index;
+}
+#endif
+
+#if KERNEL_FEATURES & TRACER_TOUCHING
+/* The solid that a path is in, or -1. */
+static int32_t innermost(const path *p)
+{
+    return p->nested > 0 ? p->inside[p->nested - 1] : -1;
+}
+
+/* Goes through all boundaries of a place.  False: nested too deep. */
+static bool cross_all(const tracer *t, path *p, const crossing *here)
+{
+    for (uint32_t k = 0; k < here->count; ++k)
+        if (!here->front[k])
+            cross_boundary(t, p, here->material[k], false);
+    for (uint32_t k = 0; k < here->count; ++k)
+        if (here->front[k] && !cross_boundary(t, p, here->material[k], true))
+            return false;
+    return true;
+}
+
+/*
+ * What path i meets where it has arrived, when several surfaces lie there: `layers`, in the order in which light meets them.  First come those
+ * that aren't boundaries of solids, in contact with the medium before: what is opaque ends there.  Then all boundaries act as one
+ * between the medium before and the one after: it has the surface of the solid of higher rank of these two; where both are the same
+ * there is none, and what was met may be no layer at all.  Returns their number; *alone: there is but one surface, w->hit[i].
+ * UINT32_MAX: nested too deep.
+ */
+static uint32_t look_around(const tracer *t, worker *w, uint32_t i, lum_hit layers[LUM_MAX_HERE], bool *alone)
+{
+    path *p = &w->path[i];
+    crossing *here = &w->here[i];
+    lum_hit all[LUM_MAX_HERE];
+    all[0] = w->hit[i];
+    here->count = 0;
+    const uint32_t count = lum_scene_all_here(t->scene, w->origin[i], w->direction[i], all);
+    *alone = count == 1;
+    if (*alone)
+        return 1;
+    w->hit[i] = all[0];
+    uint32_t layer_count = 0, fronts = 0, from[LUM_MAX_HERE];
+    const lmg_vec3 d = w->direction[i];
+    for (uint32_t k = 0; k < count; ++k) {
+        const int32_t material = t->model->triangle_material[all[k].triangle];
+        const bool front = d.x * all[k].ng.x + d.y * all[k].ng.y + d.z * all[k].ng.z < 0;
+        if (!t->media[material].solid) {
+            const uint32_t at = front ? fronts++ : layer_count;
+            memmove(&layers[at + 1], &layers[at], (layer_count - at) * sizeof(layers[0]));
+            layers[at] = all[k];
+            ++layer_count;
+            continue;
+        }
+        /* Out of a solid and into another one of the same material: no boundary. */
+        uint32_t at = 0;
+        while (at < here->count && !(here->material[at] == material && here->front[at] != front))
+            ++at;
+        if (at < here->count) {
+            --here->count;
+            memmove(&here->material[at], &here->material[at + 1], (here->count - at) * sizeof(here->material[0]));
+            memmove(&here->front[at], &here->front[at + 1], (here->count - at) * sizeof(here->front[0]));
+            memmove(&from[at], &from[at + 1], (here->count - at) * sizeof(from[0]));
+            continue;
+        }
+        for (at = here->count++; at > 0 && t->media[here->material[at - 1]].rank > t->media[material].rank; --at) {
+            here->material[at] = here->material[at - 1];
+            here->front[at] = here->front[at - 1];
+            from[at] = from[at - 1];
+        }
+        here->material[at] = material;
+        here->front[at] = front;
+        from[at] = k;
+    }
+    for (uint32_t k = here->count; k-- > 0;)
+        if (!notice_birth_inside(t, p, here->material[k], here->front[k]))
+            return UINT32_MAX;
+    path beyond = *p;
+    if (!cross_all(t, &beyond, here))
+        return UINT32_MAX;
+    const int32_t before = innermost(p), after = innermost(&beyond);
+    for (uint32_t k = here->count; before != after && k-- > 0;)
+        if (here->material[k] == (here->front[k] ? after : before)) {
+            layers[layer_count++] = all[from[k]];
+            break;
+        }
+    return layer_count;
 }
 #endif
 
@@ -660,49 +765,33 @@ static inline int32_t material_of(const tracer *t, const lum_encounter *e)
     return (int32_t)(e->surface.material - t->model->materials);
 }
 
-/*
- * What happens at a surface to path i, now standing for `photons` equal ones, before scattering.  The encounter after the last of
- * w->met holds the surface; if light is scattered by it, it is completed and kept.  Otherwise returns whether the path goes on, with its
- * origin renewed.
- */
-static inline bool meet(const tracer *t, worker *w, uint32_t i, uint32_t photons)
+/* Passes by what path i, standing for `photons` equal ones, has met: from `origin` on, in the same direction. */
+static inline bool pass_by(worker *w, uint32_t i, uint32_t photons, lmg_vec3 origin)
+{
+    w->origin[i] = origin;
+    put_aside(w, i, photons - 1);
+    return true;
+}
+
+/* Completes and keeps the encounter after the last of w->met, of which the surface is known, for scattering.  outside: the solid on
+ * the front side of the surface, or -1. */
+static inline void keep_encounter(const tracer *t, worker *w, uint32_t i, uint32_t photons, int32_t outside)
 {
     path *p = &w->path[i];
-    const lum_hit *hit = &w->hit[i];
     lum_encounter *e = &w->met[w->met_count];
-    lum_surface *surface = &e->surface;
-#if KERNEL_FEATURES & TRACER_BACKWARD
-    see_emission(p, surface);
-#endif
-#if KERNEL_FEATURES & TRACER_SOLIDS
-    const int32_t material = material_of(t, e);
-    if (is_unnoticed(t, p, material, surface->front)) {
-        if (!cross_boundary(t, p, material, surface->front)) {
-            w->counts.lost += photons * units_of(p);
-            return false;
-        }
-        w->origin[i] = straight_on(hit, w->origin[i], w->direction[i]);
-        put_aside(w, i, photons - 1);
-        return true;
-    }
-#endif
-    if (HAS(TRACER_COVERAGE) && surface->coverage < 1 && lum_rng_next(&p->rng) >= (double)surface->coverage) {
-        w->origin[i] = lum_offset(hit, w->direction[i]);
-        put_aside(w, i, photons - 1);
-        return true;
-    }
 #if KERNEL_FEATURES & TRACER_SPECTRAL
     bool converted = false;
     if (t->spectral) {
+        const int32_t material = material_of(t, e);
         const lum_wave_material *m = &t->spectral->materials[material];
-        if (!choose_wave(t, w, p, material))
-            return false;
-        surface->ior = lum_waves_index(t->spectral, material, &p->waves, surface->ior);
+        if (!choose_wave(t, w, p, material, outside))
+            return;
+        e->surface.ior = lum_waves_index(t->spectral, material, &p->waves, e->surface.ior);
         if (m->phosphor) {
             if (!meet_phosphor(t, w, p, m->phosphor, &converted))
-                return false;
+                return;
             if (converted)
-                surface->diffuse_transmission = (float)m->phosphor->forward;
+                e->surface.diffuse_transmission = (float)m->phosphor->forward;
         }
     }
     w->converted[w->met_count] = converted;
@@ -710,9 +799,9 @@ static inline bool meet(const tracer *t, worker *w, uint32_t i, uint32_t photons
     for (int k = 0; k < 4; ++k)
         e->xi[k] = lum_rng_next(&p->rng);
 #if KERNEL_FEATURES & TRACER_SOLIDS
-    e->eta_outside = index_outside(t, p, material, surface->front);
+    e->eta_outside = index_of_solid(t, p, outside);
 #else
-    (void)t;
+    (void)t, (void)outside;
     e->eta_outside = 1;
 #endif
     e->polarization = NULL;
@@ -723,8 +812,66 @@ static inline bool meet(const tracer *t, worker *w, uint32_t i, uint32_t photons
     e->wi = (lmg_vec3){-d.x, -d.y, -d.z};
     w->met_path[w->met_count] = i;
     w->met_photons[w->met_count++] = photons;
+}
+
+/*
+ * What happens at a surface to path i, now standing for `photons` equal ones, before scattering.  The encounter after the last of
+ * w->met holds the surface; if light is scattered by it, it is completed and kept.  Otherwise returns whether the path goes on, with its
+ * origin renewed.
+ */
+static inline bool meet(const tracer *t, worker *w, uint32_t i, uint32_t photons)
+{
+    const lum_hit *hit = &w->hit[i];
+    const lum_surface *surface = &w->met[w->met_count].surface;
+    int32_t outside = -1;
+#if KERNEL_FEATURES & TRACER_BACKWARD
+    see_emission(&w->path[i], surface);
+#endif
+#if KERNEL_FEATURES & TRACER_SOLIDS
+    path *p = &w->path[i];
+    const int32_t material = material_of(t, &w->met[w->met_count]);
+    if (is_unnoticed(t, p, material, surface->front)) {
+        if (!cross_boundary(t, p, material, surface->front)) {
+            w->counts.lost += photons * units_of(p);
+            return false;
+        }
+        return pass_by(w, i, photons, straight_on(hit, w->origin[i], w->direction[i]));
+    }
+    outside = solid_outside(p, material, surface->front);
+#endif
+    if (HAS(TRACER_COVERAGE) && surface->coverage < 1 && lum_rng_next(&w->path[i].rng) >= (double)surface->coverage)
+        return pass_by(w, i, photons, lum_offset(hit, w->direction[i]));
+    keep_encounter(t, w, i, photons, outside);
     return false;
 }
+
+#if KERNEL_FEATURES & TRACER_TOUCHING
+/* The same where several surfaces lie on each other: `layers`, as look_around gives them. */
+static bool meet_layers(const tracer *t, worker *w, uint32_t i, uint32_t photons, const lum_hit *layers, uint32_t count)
+{
+    path *p = &w->path[i];
+    lum_encounter *e = &w->met[w->met_count];
+    path beyond = *p;
+    cross_all(t, &beyond, &w->here[i]);
+    for (uint32_t k = 0; k < count; ++k) {
+        w->hit[i] = layers[k];
+        lum_surface_at(t->scene, &layers[k], w->direction[i], &e->surface);
+        const int32_t material = material_of(t, e);
+        const tracer_medium *m = &t->media[material];
+        if (m->bare && !t->spectral && index_of_solid(t, p, innermost(p)) == index_of_solid(t, p, innermost(&beyond)))
+            continue; /* a solid's: the last */
+        if (e->surface.coverage < 1 && lum_rng_next(&p->rng) >= (double)e->surface.coverage)
+            continue;
+#if KERNEL_FEATURES & TRACER_SURVEY
+        note_effects(p, w->survey->effects[material] & ~BAKE_EMISSION_BITS);
+#endif
+        keep_encounter(t, w, i, photons, innermost(m->solid && !e->surface.front ? &beyond : p));
+        return false;
+    }
+    cross_all(t, p, &w->here[i]);
+    return pass_by(w, i, photons, straight_on(&w->hit[i], w->origin[i], w->direction[i]));
+}
+#endif
 
 /* What happens after the scattering of encounter k: whether its path goes on, with origin and direction renewed. */
 static inline bool leave(const tracer *t, worker *w, uint32_t k)
@@ -761,6 +908,12 @@ static inline bool leave(const tracer *t, worker *w, uint32_t k)
     }
     if (photons == 0)
         return false;
+#if KERNEL_FEATURES & TRACER_TOUCHING
+    if (w->here[i].count > 0) {
+        if (s->event & LUM_TRANSMITTED)
+            cross_all(t, p, &w->here[i]); /* not nested too deep: look_around has seen it */
+    } else
+#endif
 #if KERNEL_FEATURES & TRACER_SOLIDS
     if (s->event & LUM_BOUNDARY && !cross_boundary(t, p, material_of(t, e), e->surface.front)) {
         w->counts.lost += photons * units_of(p);
@@ -790,8 +943,21 @@ static inline bool arrive(const tracer *t, worker *w, uint32_t i)
     const lum_hit *hit = &w->hit[i];
     uint32_t photons = 1;
     ++w->counts.segments;
-#if KERNEL_FEATURES & TRACER_MEDIA
+    bool alone = true;
+#if KERNEL_FEATURES & TRACER_TOUCHING
+    lum_hit layers[LUM_MAX_HERE];
+    uint32_t layer_count = 0;
+    w->here[i].count = 0;
     if (hit->triangle != LUM_MISS) {
+        layer_count = look_around(t, w, i, layers, &alone);
+        if (layer_count == UINT32_MAX) {
+            w->counts.lost += units_of(&w->path[i]);
+            return false;
+        }
+    }
+#endif
+#if KERNEL_FEATURES & TRACER_MEDIA
+    if (hit->triangle != LUM_MISS && alone) {
         const lmg_vec3 d = w->direction[i];
         const bool front = d.x * hit->ng.x + d.y * hit->ng.y + d.z * hit->ng.z < 0;
         if (!notice_birth_inside(t, &w->path[i], t->model->triangle_material[hit->triangle], front)) {
@@ -814,6 +980,15 @@ static inline bool arrive(const tracer *t, worker *w, uint32_t i)
         return false;
     }
     ++w->path[i].segments;
+#if KERNEL_FEATURES & TRACER_TOUCHING
+    if (!alone) {
+        if (!HAS(TRACER_MEDIA))
+            photons = fly(t, w, i, hit->t);
+        return photons > 0 && meet_layers(t, w, i, photons, layers, layer_count);
+    }
+#else
+    (void)alone;
+#endif
     lum_encounter *e = &w->met[w->met_count];
     lum_surface_at(t->scene, hit, w->direction[i], &e->surface);
 #if KERNEL_FEATURES & TRACER_SURVEY

@@ -31,6 +31,7 @@
 #define TRACER_POLARIZATION 16u /* photons carry a polarization from one specular event to the next */
 #define TRACER_MEDIA 32u       /* scattering on the way: inside solids and in volumes; needs TRACER_SOLIDS, TRACER_ABSORPTION */
 #define TRACER_SPECTRAL 64u    /* light by wavelength (luminaires/waves.h), where the tracer has the tables for it */
+#define TRACER_TOUCHING 128u   /* boundaries of solids that lie on other surfaces act as one; needs TRACER_SOLIDS */
 #define TRACER_BACKWARD (1u << 30) /* paths run from outside into the lamp and see what it emits */
 #define TRACER_SURVEY (1u << 31) /* notes which effects each photon meets, and where it ends: for the plan, not for a bake */
 
@@ -40,6 +41,7 @@ typedef struct tracer_medium {
     bool bare; /* a solid whose boundary is nothing but a step of the index */
     float ior;
     int32_t priority; /* lum_material.priority */
+    uint32_t rank;    /* order by priority; among equals the smaller solid comes after the larger one, which may hold it */
     double absorption[3]; /* 1/m */
     bool scatters;
     lum_medium inside; /* where it scatters */

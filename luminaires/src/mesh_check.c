@@ -92,8 +92,8 @@ static lmg_result count_edges(lum_model *m, const uint32_t *same, lmg_error *err
     return LMG_OK;
 }
 
-/* Triangles on the same three places.  The same way round, in the same material: a copy that adds nothing, removed.  Otherwise
- * which of the two light meets is chance.  Back to back in the same opaque material that is harmless and a common way to say
+/* Triangles on the same three places.  The same way round, in the same material: a copy that adds nothing, removed.  Otherwise, unless
+ * one of them bounds a solid (touching.c), which of the two light meets is chance.  Back to back in the same opaque material that is harmless and a common way to say
  * "two-sided". */
 typedef struct pair {
     int32_t material, other;
@@ -152,7 +152,9 @@ static lmg_result scan_coincident(lum_build *b, const uint32_t *same, table *t, 
             } else if (e->value == 2 * (uint32_t)material + even) {
                 dropped++;
                 continue;
-            } else if (e->value / 2 != (uint32_t)material || lets_light_through(&m->materials[material])) {
+            } else if (e->value / 2 != (uint32_t)material ? !lum_material_is_solid(&m->materials[material]) &&
+                                                                !lum_material_is_solid(&m->materials[e->value / 2])
+                                                          : lets_light_through(&m->materials[material])) {
                 LUM_TRY(note_pair(b, pairs, pair_count, material, (int32_t)(e->value / 2), p));
             }
             memmove(m->indices + 3 * (size_t)kept, m->indices + 3 * (size_t)i, 3 * sizeof *m->indices);
@@ -179,7 +181,13 @@ static lmg_result find_coincident(lum_build *b, const uint32_t *same)
     lmg_result result = scan_coincident(b, same, &t, &pairs, &count);
     for (uint32_t i = 0; i < count && !result; i++) {
         const char *material = m->materials[pairs[i].material].name, *mesh = m->parts[pairs[i].part].mesh;
-        if (pairs[i].material == pairs[i].other)
+        if (pairs[i].material == pairs[i].other && lum_material_is_solid(&m->materials[pairs[i].material]))
+            lum_warn(b,
+                     "material \"%.60s\" (mesh \"%.60s\"): %u of its faces lie back to back on others of it. Two blocks of it that touch "
+                     "are one; but if it is one wall drawn from both sides, nothing of it is left: delete one side in the model, or recipe "
+                     "entry \"thin\"",
+                     material, mesh, pairs[i].count);
+        else if (pairs[i].material == pairs[i].other)
             lum_warn(b,
                      "material \"%.60s\" (mesh \"%.60s\"): %u of its faces lie back to back on others of it, so light passes it "
                      "twice. If "

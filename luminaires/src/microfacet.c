@@ -373,7 +373,7 @@ lmg_result lum_tables_create(const lum_model *model, lum_table_store *store, lmg
     int count = 1;
     for (uint32_t i = 0; i < model->material_count && count < LUM_MAX_MEDIA; i++) {
         const lum_material *m = &model->materials[i];
-        bool solid = m->kind == LUM_SURFACE_PBR && m->transmission > 0 && !m->thin, known = false;
+        bool solid = lum_material_is_solid(m), known = false;
         for (int k = 0; k < count; k++) {
             known |= media[k] == m->ior;
         }

@@ -163,7 +163,7 @@ static void warn_transparency(lum_build *b)
         const lum_material *material = &m->materials[part->material];
         if (said[part->material] || part->triangle_count == 0)
             continue;
-        bool solid = material->kind == LUM_SURFACE_PBR && material->transmission > 0 && !material->thin;
+        bool solid = lum_material_is_solid(material);
         if (solid && part->boundary_edges > 0) {
             lum_warn(b,
                      "mesh \"%.60s\" (material \"%.60s\") transmits light and is open (%u boundary edges), but is taken as the "

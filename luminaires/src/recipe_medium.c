@@ -318,7 +318,7 @@ lmg_result lum_recipe_apply_volumes(lum_build *b)
 
 lmg_result lum_recipe_check_medium(lum_build *b, const lum_recipe_entry *e, const lum_material *material)
 {
-    if (material->kind == LUM_SURFACE_PBR && !material->thin && material->transmission > 0)
+    if (lum_material_is_solid(material))
         return LMG_OK;
     return lmg_fail(
         b->err, LMG_ERROR_INPUT,

@@ -244,6 +244,10 @@ lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *
         result = lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for %u triangles", count);
         goto cleanup;
     }
+    result = lum_find_touching(scene, err);
+    if (result) {
+        goto cleanup;
+    }
     if (!smooth) {
         free(scene->normals);
         scene->normals = NULL;
@@ -265,7 +269,7 @@ lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *
     }
     RTCScene embree = rtcNewScene(device);
     scene->embree = embree;
-    rtcSetSceneFlags(embree, RTC_SCENE_FLAG_ROBUST);
+    rtcSetSceneFlags(embree, scene->touching ? RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION : RTC_SCENE_FLAG_ROBUST);
     rtcSetSceneBuildQuality(embree, RTC_BUILD_QUALITY_MEDIUM);
     if (count) {
         RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -302,6 +306,7 @@ lmg_result lum_scene_create_variant(const lum_scene *geometry, const lum_model *
                          .normals = geometry->normals,
                          .device = geometry->device,
                          .embree = geometry->embree,
+                         .touching = geometry->touching,
                          .variant = true};
     lmg_result result = lum_tables_create(model, &scene->tables, err);
     if (!result) {
@@ -387,6 +392,27 @@ static double nearest_edge_point(lmg_vec3 s, lmg_vec3 e1, lmg_vec3 e2, lmg_vec3 
     return least;
 }
 
+/* Moves a point of a triangle, given by its barycentrics, off those edges that ask for it, by the same distance everywhere:
+ * barycentrics change by distance / height over the edge, and heights go as one over the edges' lengths.  (One margin for all would
+ * move a hit on a long thin triangle far along it.) */
+static inline void keep_off_edges(const lum_triangle *tri, lmg_vec3 e1, lmg_vec3 e2, double *b1, double *b2)
+{
+    double l0 = vec_length(vec_sub(e2, e1)), l1 = vec_length(e2), l2 = vec_length(e1);
+    double per_length = (double)tri->margin / fmax(l0, fmax(l1, l2));
+    double m0 = tri->edges & 1 ? 0 : per_length * l0;
+    double m1 = tri->edges & 2 ? 0 : per_length * l1;
+    double m2 = tri->edges & 4 ? 0 : per_length * l2;
+    *b1 = fmax(*b1, m1);
+    *b2 = fmax(*b2, m2);
+    double excess = *b1 + *b2 - (1 - m0);
+    if (excess > 0) {
+        double shift1 = fmin(*b1 - m1, 0.5 * excess), shift2 = fmin(*b2 - m2, excess - shift1);
+        shift1 = fmin(*b1 - m1, excess - shift2);
+        *b1 -= shift1;
+        *b2 -= shift2;
+    }
+}
+
 /*
  * The triangle again, in double [moller1997triangle].  Returns whether the ray truly meets it.
  *
@@ -418,22 +444,7 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
             }
             t = along;
         }
-        /* Away from the edges by the same distance everywhere: barycentrics change by distance / height over the edge, and heights
-         * go as one over the edges' lengths.  (One margin for all would move a hit on a long thin triangle far along it.) */
-        double l0 = vec_length(vec_sub(e2, e1)), l1 = vec_length(e2), l2 = vec_length(e1);
-        double per_length = margin / fmax(l0, fmax(l1, l2));
-        double m0 = tri->edges & 1 ? 0 : per_length * l0;
-        double m1 = tri->edges & 2 ? 0 : per_length * l1;
-        double m2 = tri->edges & 4 ? 0 : per_length * l2;
-        b1 = fmax(b1, m1);
-        b2 = fmax(b2, m2);
-        double excess = b1 + b2 - (1 - m0);
-        if (excess > 0) {
-            double shift1 = fmin(b1 - m1, 0.5 * excess), shift2 = fmin(b2 - m2, excess - shift1);
-            shift1 = fmin(b1 - m1, excess - shift2);
-            b1 -= shift1;
-            b2 -= shift2;
-        }
+        keep_off_edges(tri, e1, e2, &b1, &b2);
     }
     hit->t = t;
     hit->position = vec_along(vec_along(a, e1, b1), e2, b2);
@@ -486,6 +497,113 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
 {
     struct RTCRayHit rayhit;
     return trace(scene, origin, direction, 0, INFINITY, &rayhit) && settle(scene, origin, direction, &rayhit, hit);
+}
+
+bool lum_scene_touches(const lum_scene *scene)
+{
+    return scene->touching;
+}
+
+/* What lum_scene_all_here asks Embree with. */
+typedef struct touching_query {
+    struct RTCIntersectContext context; /* first: a filter is given its address */
+    const lum_scene *scene;
+    lmg_vec3 origin, direction;
+    lum_hit *hits;
+    bool at_edge[LUM_MAX_HERE];
+    uint32_t count;
+} touching_query;
+
+/* Whether the ray passes within rounding of a triangle's edge, so that it may have been found to meet the next one as well. */
+static bool meets_edge(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d)
+{
+    lmg_vec3 a = vec_from_float(tri->v[0]);
+    lmg_vec3 e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
+    lmg_vec3 s = vec_sub(o, a), p = vec_cross(d, e2), q = vec_cross(s, e1);
+    double inverse = 1 / vec_dot(e1, p), b1 = vec_dot(s, p) * inverse, b2 = vec_dot(d, q) * inverse;
+    const double rounding = 0x1p-40; /* of quotients of differences, with the digits that cancel */
+    return !(b1 > rounding && b2 > rounding && 1 - b1 - b2 > rounding);
+}
+
+/* Takes what lies at the place of hits[0]; tells Embree to go on. */
+static void take_here(const struct RTCFilterFunctionNArguments *arguments)
+{
+    touching_query *q = (touching_query *)arguments->context;
+    arguments->valid[0] = 0;
+    const uint32_t triangle = ((const struct RTCHit *)(const void *)arguments->hit)->primID; /* of one ray: N is 1 */
+    const lum_triangle *all = q->scene->triangles, *tri = &all[triangle];
+    const lum_hit *first = &q->hits[0];
+    lum_hit hit = {.triangle = triangle};
+    if (q->count == LUM_MAX_HERE || triangle == first->triangle || !(tri->edges & LUM_TRIANGLE_TOUCHES) ||
+        !confirm_hit(tri, q->origin, q->direction, &hit)) {
+        return;
+    }
+    const double gap = vec_dot(vec_sub(hit.position, first->position), first->ng);
+    if (fabs(gap) > LUM_TOUCHING_GAP * fmax(hit.error, first->error)) {
+        return;
+    }
+    const bool front = vec_dot(hit.ng, q->direction) < 0, at_edge = meets_edge(tri, q->origin, q->direction);
+    for (uint32_t i = 0; i < q->count; i++) {
+        const lum_hit *other = &q->hits[i];
+        const bool same_side = (vec_dot(other->ng, q->direction) < 0) == front;
+        if (other->triangle == triangle || ((at_edge || q->at_edge[i]) && same_side && all[other->triangle].material == tri->material)) {
+            return; /* again, or a neighbour's */
+        }
+    }
+    q->at_edge[q->count] = at_edge;
+    q->hits[q->count++] = hit;
+}
+
+uint32_t lum_scene_all_here(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit hits[LUM_MAX_HERE])
+{
+    const lum_triangle *first = &scene->triangles[hits[0].triangle];
+    if (!(first->edges & LUM_TRIANGLE_TOUCHES)) {
+        return 1;
+    }
+    /* The piece of the ray within twice the gap of the place: Embree rounds its ends. */
+    const double cosine = fabs(vec_dot(hits[0].ng, direction)), reach = 2 * LUM_TOUCHING_GAP * hits[0].error / fmax(cosine, 1e-6);
+    touching_query query = {.scene = scene, .origin = origin, .direction = direction, .hits = hits, .count = 1};
+    query.at_edge[0] = meets_edge(first, origin, direction);
+    rtcInitIntersectContext(&query.context);
+    query.context.filter = take_here;
+    struct RTCRayHit rayhit;
+    set_ray(&rayhit.ray, vec_along(hits[0].position, direction, -reach), direction, 0, nextafterf((float)(2 * reach), INFINITY));
+    rayhit.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    rayhit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+    rtcIntersect1(scene->embree, &query.context, &rayhit);
+    const uint32_t count = query.count;
+    if (count == 1) {
+        return 1;
+    }
+    for (uint32_t i = 1; i < count; i++) {
+        for (uint32_t k = i; k > 0 && hits[k - 1].triangle > hits[k].triangle; k--) {
+            const lum_hit swap = hits[k];
+            hits[k] = hits[k - 1];
+            hits[k - 1] = swap;
+        }
+    }
+    /* One place, off the edges of all of them: twice, as moving off the one's can bring it near the other's. */
+    lmg_vec3 place = hits[0].position;
+    double error = 0, farthest = 0;
+    for (uint32_t i = 0; i < 2 * count; i++) {
+        lum_hit *hit = &hits[i % count];
+        const lum_triangle *tri = &scene->triangles[hit->triangle];
+        const lmg_vec3 a = vec_from_float(tri->v[0]), e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
+        const lmg_vec3 w = vec_sub(place, a), n = vec_cross(e1, e2);
+        const double square = vec_dot(n, n), b1 = vec_dot(vec_cross(w, e2), n) / square, b2 = vec_dot(vec_cross(e1, w), n) / square;
+        double kept1 = b1, kept2 = b2;
+        keep_off_edges(tri, e1, e2, &kept1, &kept2);
+        place = vec_along(vec_along(place, e1, kept1 - b1), e2, kept2 - b2);
+        hit->b1 = (float)kept1;
+        hit->b2 = (float)kept2;
+        error = fmax(error, hit->error);
+        farthest = fmax(farthest, fabs(vec_dot(vec_sub(a, place), hit->ng)));
+    }
+    for (uint32_t i = 0; i < count; i++) {
+        hits[i].position = place;
+        hits[i].error = error + farthest;
+    }
+    return count;
 }
 
 /* reach: NULL = no end. */

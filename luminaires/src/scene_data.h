@@ -12,8 +12,13 @@ enum {
     LUM_TRIANGLE_SMOOTH = 1u << 31, /* in lum_triangle.material: the vertex normals differ from the face's */
     LUM_TRIANGLE_MATERIAL = 0x7fffffff,
     LUM_FOLD_BITS = 9,
-    LUM_FOLD_STEPS = (1 << LUM_FOLD_BITS) - 1
+    LUM_FOLD_STEPS = (1 << LUM_FOLD_BITS) - 1,
+    LUM_TRIANGLE_TOUCHES = 1u << 30 /* in lum_triangle.edges: other surfaces lie on it (touching.c) */
 };
+
+/* Surfaces are at the same place when they are this near, in lum_triangle_error: an origin that stands off the one by an error would
+ * otherwise be too close to the other one for Embree to tell its side. */
+#define LUM_TOUCHING_GAP 2.0
 
 /* All that a hit needs of a triangle, in one cache line. */
 typedef struct lum_triangle {
@@ -40,6 +45,7 @@ struct lum_scene {
     lum_shading *shading;   /* per material */
     lum_table_store tables;
     void *device, *embree; /* RTCDevice, RTCScene */
+    bool touching;         /* some triangle is marked LUM_TRIANGLE_TOUCHES */
     bool variant;          /* triangles, normals, device and embree belong to another scene */
 };
 
@@ -69,6 +75,9 @@ static inline double lum_triangle_error(const float v[3][3])
 /* microfacet.c: the tables of all materials. */
 lmg_result lum_tables_create(const lum_model *model, lum_table_store *store, lmg_error *err);
 void lum_tables_destroy(lum_table_store *store);
+
+/* touching.c: marks triangles of solids and others that lie on each other. */
+lmg_result lum_find_touching(lum_scene *scene, lmg_error *err);
 
 /* surface.c: fills scene->shading. */
 lmg_result lum_shading_create(lum_scene *scene, lmg_error *err);

@@ -23,7 +23,7 @@ static bool varies(const lum_spectrum *s)
 
 static bool spreads(const lum_material *m)
 {
-    return m->kind == LUM_SURFACE_PBR && !m->thin && m->transmission > 0 && varies(m->spectral.index);
+    return lum_material_is_solid(m) && varies(m->spectral.index);
 }
 
 bool lum_model_is_spectral(const lum_model *model)

@@ -202,6 +202,12 @@ void lum_model_destroy(lum_model *model);
 
 /* ------------------------------------------------------------------------------------------------------------- lookups */
 
+/* Whether its surface is the boundary of a solid that lets light in. */
+static inline bool lum_material_is_solid(const lum_material *m)
+{
+    return m->kind == LUM_SURFACE_PBR && !m->thin && m->transmission > 0;
+}
+
 /* Whether anything of a material but its emission is textured. */
 bool lum_material_is_textured(const lum_material *material);
 
