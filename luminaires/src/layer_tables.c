@@ -65,9 +65,11 @@ static void fill_boundary(double alpha, double eta, lum_boundary_rows *rows)
 
 const lum_boundary_set *lum_boundary_set_find(lum_table_store *store, float alpha, float eta, bool *failed)
 {
-    for (size_t i = 0; i < store->boundary_set_count; i++) {
-        if (store->boundary_sets[i]->alpha == alpha && store->boundary_sets[i]->eta == eta) {
-            return store->boundary_sets[i];
+    for (const lum_table_store *from = store; from; from = from->like) {
+        for (size_t i = 0; i < from->boundary_set_count; i++) {
+            if (from->boundary_sets[i]->alpha == alpha && from->boundary_sets[i]->eta == eta) {
+                return from->boundary_sets[i];
+            }
         }
     }
     int count = alpha < 0 ? LUM_LOBE_COMPUTED_ROUGHNESSES + 1 : 1;
@@ -114,9 +116,11 @@ double lum_boundary_rests(const lum_boundary_set *set, double alpha, bool front,
 
 static const lum_cosine_set *find_cosines(lum_table_store *store, float alpha, bool *failed)
 {
-    for (size_t i = 0; i < store->cosine_set_count; i++) {
-        if (store->cosine_sets[i]->alpha == alpha) {
-            return store->cosine_sets[i];
+    for (const lum_table_store *from = store; from; from = from->like) {
+        for (size_t i = 0; i < from->cosine_set_count; i++) {
+            if (from->cosine_sets[i]->alpha == alpha) {
+                return from->cosine_sets[i];
+            }
         }
     }
     int count = alpha < 0 ? LUM_LOBE_COMPUTED_ROUGHNESSES + 1 : 1;
@@ -188,7 +192,9 @@ void lum_layer_tables_fill(lum_table_store *store, const lum_material *m, struct
         t->stretched = lum_stretched_find(store, varies ? -1.0f : m->roughness,
                                           l->anisotropy_texture.image != LUM_NONE ? -1.0f : l->anisotropy, failed);
     }
-    if (l->present & LUM_LAYER_IRIDESCENCE) {
+    if (l->present & LUM_LAYER_IRIDESCENCE && store->like && store->like->film) {
+        t->film = store->like->film;
+    } else if (l->present & LUM_LAYER_IRIDESCENCE) {
         if (!store->film) {
             store->film = malloc(sizeof *store->film);
             *failed |= !store->film;

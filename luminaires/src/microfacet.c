@@ -288,10 +288,12 @@ static double thin_wall(double mu, double eta, double unused)
 const lum_lobe_set *lum_lobe_set_find(lum_table_store *store, lum_lobe_kind kind, float eta, float alpha, bool *failed)
 {
     alpha = alpha >= 0 && alpha < LUM_SMOOTH ? 0 : alpha;
-    for (size_t i = 0; i < store->set_count; i++) {
-        const lum_lobe_set *s = store->sets[i];
-        if (s->kind == (int)kind && s->eta == eta && s->alpha == alpha) {
-            return s;
+    for (const lum_table_store *from = store; from; from = from->like) {
+        for (size_t i = 0; i < from->set_count; i++) {
+            const lum_lobe_set *s = from->sets[i];
+            if (s->kind == (int)kind && s->eta == eta && s->alpha == alpha) {
+                return s;
+            }
         }
     }
     int count = alpha < 0 ? LUM_LOBE_ROUGHNESSES + 1 : 1;

@@ -135,6 +135,7 @@ typedef struct lum_table_store {
     size_t stretched_count;
     struct lum_sheen_table *sheen;
     struct lum_film_table *film;
+    const struct lum_table_store *like; /* NULL, or another store: what it has already isn't made again; it has to live as long */
 } lum_table_store;
 
 /* 1 - E and 1 - E_avg at a roughness. */

@@ -307,6 +307,7 @@ lmg_result lum_scene_create_variant(const lum_scene *geometry, const lum_model *
                          .device = geometry->device,
                          .embree = geometry->embree,
                          .touching = geometry->touching,
+                         .tables = {.like = &geometry->tables},
                          .variant = true};
     lmg_result result = lum_tables_create(model, &scene->tables, err);
     if (!result) {

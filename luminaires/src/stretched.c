@@ -106,9 +106,11 @@ static void fill(lum_stretched *t, double across, double strength, bool many)
 
 const lum_stretched_set *lum_stretched_find(lum_table_store *store, float roughness, float strength, bool *failed)
 {
-    for (size_t i = 0; i < store->stretched_count; i++) {
-        if (store->stretched[i]->roughness == roughness && store->stretched[i]->strength == strength) {
-            return store->stretched[i];
+    for (const lum_table_store *from = store; from; from = from->like) {
+        for (size_t i = 0; i < from->stretched_count; i++) {
+            if (from->stretched[i]->roughness == roughness && from->stretched[i]->strength == strength) {
+                return from->stretched[i];
+            }
         }
     }
     int a = roughness < 0 ? LUM_STRETCHED_ROUGHNESSES : 1, b = strength < 0 ? LUM_STRETCHED_ROUGHNESSES : 1;

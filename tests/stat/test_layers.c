@@ -499,12 +499,48 @@ static void real_models(void **state)
     }
 }
 
+/* A scene with other materials makes no table again that the first one has (the plan makes one for each effect), and has those that are its
+ * own. */
+static void variants_share_tables(void **state)
+{
+    (void)state;
+    lum_model *model = make_model();
+    lum_scene *scene = make_scene(model, false), *variant;
+    lum_model other = *model;
+    other.materials = malloc(model->material_count * sizeof *other.materials);
+    assert_non_null(other.materials);
+    memcpy(other.materials, model->materials, model->material_count * sizeof *other.materials);
+    other.materials[0].roughness = 0.317f;
+    lmg_error err;
+    assert_int_equal(lum_scene_create_variant(scene, &other, &variant, &err), LMG_OK);
+    for (uint32_t i = 1; i < model->material_count; i++) {
+        const struct lum_tables *a = &scene->tables.tables[i], *b = &variant->tables.tables[i];
+        assert_ptr_equal(a->metal, b->metal);
+        assert_ptr_equal(a->clearcoat, b->clearcoat);
+        assert_ptr_equal(a->cosines, b->cosines);
+        assert_ptr_equal(a->stretched, b->stretched);
+        assert_ptr_equal(a->film, b->film);
+        assert_int_equal(a->media, b->media);
+        for (int k = 0; k < a->media; k++) {
+            assert_ptr_equal(a->medium[k].coat, b->medium[k].coat);
+            assert_ptr_equal(a->medium[k].outside, b->medium[k].outside);
+            assert_ptr_equal(a->medium[k].changed, b->medium[k].changed);
+        }
+    }
+    assert_ptr_not_equal(scene->tables.tables[0].medium[0].coat, variant->tables.tables[0].medium[0].coat);
+    lum_scene_destroy(variant);
+    lum_scene_destroy(scene);
+    free(other.materials);
+    free_model(model);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(films_are_exact),          cmocka_unit_test(sheen_is_bounded), cmocka_unit_test(nothing_changes_nothing),
         cmocka_unit_test(brushing_spreads_along),   cmocka_unit_test(reciprocity),      cmocka_unit_test(white_furnace),
         cmocka_unit_test(samples_follow_densities), cmocka_unit_test(real_models),      cmocka_unit_test(stretched_albedo),
+        cmocka_unit_test(variants_share_tables),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
