@@ -94,6 +94,20 @@ static lmg_result check_finite(lum_build *b, const primitive *p, const double *v
     return LMG_OK;
 }
 
+/* Colours multiply reflectances: beyond 1 they would make light.  Morphing may round them. */
+static lmg_result check_colors(lum_build *b, const primitive *p)
+{
+    static const double ROUNDING = 1e-6;
+    for (uint64_t i = 0; p->color && i < p->vertices * 4; i++) {
+        if (!(p->color[i] >= -ROUNDING && p->color[i] <= 1 + ROUNDING))
+            return in_primitive(b, p, "COLOR_0",
+                                lmg_fail(b->err, LMG_ERROR_INPUT, "vertex %llu: %g is outside [0, 1]; re-export the mesh", (unsigned long long)(i / 4),
+                                         p->color[i]));
+        p->color[i] = fmin(fmax(p->color[i], 0), 1);
+    }
+    return LMG_OK;
+}
+
 /* Morph targets at the weights of rest: those of the node, else those of the mesh. */
 static lmg_result morph(lum_build *b, primitive *p, const gltf_node *node)
 {
@@ -149,7 +163,8 @@ static lmg_result read_vertices(lum_build *b, primitive *p, const gltf_node *nod
     LUM_TRY(check_finite(b, p, p->tangent, 4, "TANGENT"));
     LUM_TRY(check_finite(b, p, p->uv[0], 2, "TEXCOORD_0"));
     LUM_TRY(check_finite(b, p, p->uv[1], 2, "TEXCOORD_1"));
-    return check_finite(b, p, p->color, 4, "COLOR_0");
+    LUM_TRY(check_finite(b, p, p->color, 4, "COLOR_0"));
+    return check_colors(b, p);
 }
 
 /* The corners of all triangles, whatever the topology.  Strips turn every second triangle round; fans start where glTF says:

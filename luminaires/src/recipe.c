@@ -122,9 +122,11 @@ static void read_mirror(lum_reader *r, lum_recipe_entry *e)
     if (!lum_reader_open(r, "mirror", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_MIRROR);
-    if (!lum_reader_reflectance(&in, "reflectance", e->reflectance, &e->spectral.reflectance))
-        lum_reader_fail(&in, "reflectance", "is missing");
     get_roughness(&in, e);
+    if (!lum_reader_reflectance(&in, "reflectance", e->reflectance, &e->spectral.reflectance)) {
+        lum_reader_check_rest(&in); /* a misspelt key is why */
+        lum_reader_fail(&in, "reflectance", "is missing");
+    }
     lum_reader_close(r, &in);
 }
 
@@ -157,8 +159,10 @@ static void read_diffuse(lum_reader *r, lum_recipe_entry *e)
     if (!lum_reader_open(r, "diffuse", &in))
         return;
     set_finish(&in, "", e, LUM_FINISH_DIFFUSE);
-    if (!lum_reader_reflectance(&in, "reflectance", e->reflectance, &e->spectral.reflectance))
+    if (!lum_reader_reflectance(&in, "reflectance", e->reflectance, &e->spectral.reflectance)) {
+        lum_reader_check_rest(&in);
         lum_reader_fail(&in, "reflectance", "is missing");
+    }
     lum_reader_close(r, &in);
 }
 

@@ -21,7 +21,7 @@
 #define MAX_VDB_BYTES ((size_t)8 << 30)
 enum { MAX_VOLUMES = 16 };
 
-/* "scattering" and "absorption", or "extinction" and "albedo"; times scale. */
+/* "scattering" and "absorption", or "extinction" and "albedo"; times scale.  Read last: where none is given, a misspelt key is why. */
 static void read_coefficients(lum_reader *r, double scale, float scattering[3], float absorption[3])
 {
     double s[3] = {0, 0, 0}, a[3] = {0, 0, 0}, albedo[3];
@@ -30,6 +30,8 @@ static void read_coefficients(lum_reader *r, double scale, float scattering[3], 
     double e[3];
     const bool by_extinction = lum_reader_rgb(r, "extinction", 0, MAX_COEFFICIENT, e),
                has_albedo = lum_reader_rgb(r, "albedo", 0, 1, albedo);
+    if (!(by_extinction || has_albedo || by_scattering || absorbs))
+        lum_reader_check_rest(r);
     if (by_extinction != has_albedo || (by_extinction && (by_scattering || absorbs)) ||
         !(by_extinction || by_scattering || absorbs))
         lum_reader_fail(r, "", "give \"scattering\" and \"absorption\" (1/m), or \"extinction\" (1/m) and \"albedo\"");
@@ -61,8 +63,8 @@ void lum_recipe_read_medium(lum_reader *r, lum_recipe_entry *e)
     if (!lum_reader_open(r, "medium", &in))
         return;
     e->has_medium = true;
-    read_coefficients(&in, 1, e->scattering, e->medium_absorption);
     e->anisotropy = read_anisotropy(&in);
+    read_coefficients(&in, 1, e->scattering, e->medium_absorption);
     if (!in.result && !any(e->scattering))
         lum_reader_fail(&in, "", "scatters nothing; absorption alone is said by \"glass\" with \"absorption\"");
     lum_reader_close(r, &in);
@@ -150,14 +152,14 @@ static void read_volume(lum_reader *r, const char *folder, lum_recipe_volume *v)
         lum_reader_fail(r, chosen ? "grid" : "interpolation", "belongs to \"vdb\"");
     v->interpolation = boxed ? LUM_INTERPOLATION_NEAREST : v->interpolation < 0 ? LUM_INTERPOLATION_LINEAR : v->interpolation;
     lum_reader_number(r, "density_scale", 0, 1e12, &density);
-    read_coefficients(r, density, v->scattering, v->absorption);
     v->anisotropy = read_anisotropy(r);
+    read_transform(r, v->to_model);
+    read_coefficients(r, density, v->scattering, v->absorption);
     if (!r->result && !any(v->scattering) && !any(v->absorption))
         lum_reader_fail(r, "", "is clear: all its coefficients are zero");
     for (int c = 0; c < 3 && !r->result; c++)
         if (!isfinite(v->scattering[c] + v->absorption[c]))
             lum_reader_fail(r, "density_scale", "makes a coefficient too large");
-    read_transform(r, v->to_model);
     lum_reader_check_rest(r);
 }
 

@@ -17,7 +17,7 @@ void lum_reader_fail(lum_reader *r, const char *key, const char *format, ...)
     va_start(args, format);
     vsnprintf(text, sizeof text, format, args);
     va_end(args);
-    r->result = lmg_fail(r->err, LMG_ERROR_INPUT, "%s%s%s: %s", r->path, *r->path && *key ? "." : "", key, text);
+    r->result = lmg_fail(r->err, LMG_ERROR_INPUT, "%s%s%s%s%s", r->path, *r->path && *key ? "." : "", key, *r->path || *key ? ": " : "", text);
 }
 
 /* The value of a key, for the caller to release; NULL when absent or after an error. */
