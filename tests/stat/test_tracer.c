@@ -12,7 +12,9 @@
 #include <cmocka.h>
 
 #include "../unit/make_model.h"
+#include "effects.h"
 #include "source.h"
+#include "tracer.h"
 
 #include <luminaires/model.h>
 #include <luminaires/rng.h>
@@ -468,6 +470,14 @@ static void test_threads_and_ranges(void **state)
     free_model(m);
 }
 
+/* What is still in the beam. */
+static void count_straight(void *self, const lmg_ray *rays, size_t count)
+{
+    uint64_t *straight = self;
+    for (size_t i = 0; i < count; ++i)
+        *straight += rays[i].direction.y < -1 + 1e-6;
+}
+
 static void test_dark_model(void **state)
 {
     (void)state;
@@ -482,6 +492,51 @@ static void test_dark_model(void **state)
     free_model(m);
 }
 
+/* ------------------------------------------------------------------------------------------------------- polarization */
+
+/*
+ * Two panes at Brewster's angle to a beam, tipped in the same plane or with the second turned by 90 degrees about the beam, by the whole
+ * tracer.  A pane transmits p light wholly and Ts = (1 - Rs) / (1 + Rs) of s light, Rs = ((n^2 - 1) / (n^2 + 1))^2.  In line:
+ * (1 + Ts^2) / 2, crossed Ts; without polarization ((1 + Ts) / 2)^2 both times, which is 2 to 3 % off.
+ */
+static void test_brewster_plates(void **state)
+{
+    (void)state;
+    const double n = 1.52, angle = atan(n), rs = pow((n * n - 1) / (n * n + 1), 2), ts = (1 - rs) / (1 + rs);
+    for (int crossed = 0; crossed < 2; ++crossed) {
+        lum_model *m = make_model();
+        const uint32_t glass = make_glass(m, (float)n, 0, true);
+        for (int i = 0; i < 2; ++i) {
+            /* one axis lies across the beam, the other rises; the second pane leans the other way, so that light between them is lost sideways */
+            const double rise = i ? -sin(angle) : sin(angle), along = cos(angle);
+            const lmg_vec3 a = i && crossed ? v3(0, 0, 0.2) : v3(0.2, 0, 0);
+            const lmg_vec3 b = i && crossed ? v3(0.2 * along, 0.2 * rise, 0) : v3(0, 0.2 * rise, 0.2 * along);
+            make_quad(m, v3(-0.5 * (a.x + b.x), -0.3 * (i + 1) - 0.5 * b.y, -0.5 * (a.z + b.z)), a, b, 1, glass);
+        }
+        add_ray_light(m, v3(0.001, 0.1, 0.002), v3(0, -1, 0));
+        finish_model(m);
+        for (int with = 0; with < 2; ++with) {
+            bake_source *source;
+            lmg_error err = {{0}};
+            const uint32_t polarization = 1u << BAKE_POLARIZATION;
+            assert_int_equal(bake_tracer_create_with(m, with ? UINT32_MAX : ~polarization, 17, NULL, &source, &err), LMG_OK);
+            uint64_t through = 0;
+            const lmg_sink sink = {.self = &through, .consume = count_straight};
+            enum { COUNT = 400000 };
+            const bake_tally t = trace(source, 0, COUNT, 1, &sink);
+            assert_balanced(&t);
+            source->destroy(source);
+            const double expected = !with ? pow((1 + ts) / 2, 2) : crossed ? ts : (1 + ts * ts) / 2;
+            const double share = (double)through / COUNT, error = sqrt(expected * (1 - expected) / COUNT);
+            print_message("panes %s, %s polarization: %.5f +- %.5f, closed form %.5f\n", crossed ? "crossed" : "in line", with ? "with" : "without",
+                          share, error, expected);
+            /* within the beam's 1e-3 radians transmittance changes by less than 1e-4 */
+            assert_true(fabs(share - expected) < SIGMAS * error + 1e-4);
+        }
+        free_model(m);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -489,6 +544,7 @@ int main(void)
         cmocka_unit_test(test_clear_slab),          cmocka_unit_test(test_absorbing_slab),       cmocka_unit_test(test_light_guide),
         cmocka_unit_test(test_source_inside_glass), cmocka_unit_test(test_open_solid),           cmocka_unit_test(test_colours),
         cmocka_unit_test(test_threads_and_ranges),  cmocka_unit_test(test_dark_model),
+        cmocka_unit_test(test_brewster_plates),
     };
     return cmocka_run_group_tests_name("tracer", tests, NULL, NULL);
 }
