@@ -20,6 +20,8 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
+#include <time.h>
 #include <unistd.h>
 
 static char spot[1100], globe[1100]; /* sample lamps */
@@ -214,6 +216,37 @@ static void test_damaged_parts(void **state)
 
 /* ------------------------------------------------------------------------------------------------------------- restart */
 
+/* When a file was last written to; 0: it isn't there. */
+static double written(const char *path)
+{
+    struct stat s;
+    return stat(path, &s) == 0 ? (double)s.st_mtim.tv_sec + 1e-9 * (double)s.st_mtim.tv_nsec : 0;
+}
+
+/* Waits until a process has written a file that was `before`, or has ended.  However busy the machine is: no time is meant. */
+static bool wait_written(pid_t pid, const char *path, double before)
+{
+    for (;;) {
+        siginfo_t info = {.si_pid = 0};
+        assert_int_equal(waitid(P_PID, (id_t)pid, &info, WEXITED | WNOHANG | WNOWAIT), 0);
+        const double now = written(path);
+        if (now != before && now > 0)
+            return true;
+        if (info.si_pid != 0)
+            return false;
+        pause_seconds(2e-4);
+    }
+}
+
+static uint64_t random_state;
+static double uniform(void) /* [0,1) */
+{
+    uint64_t z = random_state += 0x9e3779b97f4a7c15u;
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return (double)((z ^ (z >> 31)) >> 11) * 0x1p-53;
+}
+
 /* Ctrl-C, again and again: each time a valid box, and in the end the bytes of a bake that nobody interrupted. */
 static void test_interrupted_and_resumed(void **state)
 {
@@ -221,60 +254,96 @@ static void test_interrupted_and_resumed(void **state)
     const name whole = path_of("whole.box.exr"), box = path_of("stopped.box.exr"), part = path_of("stopped.box.exr.part");
     BAKE(spot, "-o", whole.text, "--photons", "3e6");
     unlink(part.text);
-    int interruptions = 0;
-    for (int i = 0; i < 200; ++i) {
+    int interruptions = 0, code = -1;
+    random_state = 5;
+    for (int i = 0; i < 5 && code != 0; ++i) {
+        const double before = written(part.text);
         const pid_t pid = start((const char *const[]){"bake", spot, "-o", box.text, "--photons", "3e6", "--cells", "1e5", "--effects", "all", "--resume",
-                                                      "--checkpoint", "0.1s", i % 2 ? "--threads" : "-q", i % 2 ? "3" : NULL, NULL});
-        pause_seconds(0.3 + 0.25 * i);
-        kill(pid, i % 2 ? SIGINT : SIGTERM);
+                                                      "--checkpoint", "0.05s", i % 2 ? "--threads" : "-q", i % 2 ? "3" : NULL, NULL});
+        if (wait_written(pid, part.text, before)) { /* it traces, and so it listens */
+            pause_seconds(0.05 * uniform());
+            kill(pid, i % 2 ? SIGINT : SIGTERM);
+        }
         outcome o = finish(pid);
-        if (o.code == 130) {
+        code = o.code;
+        release(&o);
+        if (code == 130) {
             ++interruptions;
             assert_true(exists(part.text));
-            release(&o);
             o = RUN("info", box.text);
             assert_int_equal(o.code, 0);
-        } else if (o.code == 0) {
             release(&o);
-            break;
         } else {
-            assert_int_equal(o.code, KILLED + (i % 2 ? SIGINT : SIGTERM)); /* before it could listen */
+            assert_int_equal(code, 0);
         }
-        release(&o);
     }
     assert_true(interruptions >= 1);
+    if (code != 0)
+        BAKE(spot, "-o", box.text, "--photons", "3e6", "--resume");
     same_file(whole.text, box.text);
     assert_false(exists(part.text));
 }
 
-/* kill -9 at whatever instant: the checkpoint is whole, and resuming gives the bytes of one run. */
+/*
+ * kill -9 at random instants: of a bake from its start to its end, and while a checkpoint is being written.  Whatever is there
+ * afterwards is whole, and resuming gives the bytes of one straight run.  `test_restart kill NUMBER SEED` does only this.
+ */
+static uint64_t kills = 24, kill_seed = 1;
+
 static void test_killed_and_resumed(void **state)
 {
     (void)state;
-    const name whole = path_of("whole.box.exr"), box = path_of("killed.box.exr"), part = path_of("killed.box.exr.part");
+    const name whole = path_of("whole.box.exr"), box = path_of("killed.box.exr"), part = path_of("killed.box.exr.part"), look = path_of("look.box.exr");
+    const name unfinished = path_of("killed.box.exr.part.new");
+#define SHORT_BAKE(box) "bake", spot, "-o", box, "--photons", "300000", "--pilot", "5000", "--layout", "aperture", "--resolution", "9,9,9,9", "--effects", "all", "-q"
+    struct timespec began, ended;
+    clock_gettime(CLOCK_MONOTONIC, &began);
+    bake((const char *const[]){SHORT_BAKE(whole.text), NULL});
+    clock_gettime(CLOCK_MONOTONIC, &ended);
+    const double duration = (double)(ended.tv_sec - began.tv_sec) + 1e-9 * (double)(ended.tv_nsec - began.tv_nsec);
     unlink(part.text);
     unlink(box.text);
-    int killed = 0;
-    for (int i = 0; i < 9; ++i) {
-        const pid_t pid = start((const char *const[]){"bake", spot, "-o", box.text, "--photons", "3e6", "--cells", "1e5", "--effects", "all", "--resume",
-                                                      "--checkpoint", "0.001s", "-q", NULL});
-        /* each time it lives a little longer; checkpoints follow every round, so it often dies while writing one */
-        pause_seconds(0.3 + 0.0371 * i);
+    random_state = kill_seed;
+    uint64_t killed = 0, with_checkpoint = 0, in_writing = 0, finished = 0;
+    for (uint64_t i = 0; i < kills; ++i) {
+        const double before = written(unfinished.text);
+        const pid_t pid = start((const char *const[]){SHORT_BAKE(box.text), "--resume", "--checkpoint", "0.001s", NULL});
+        if (i % 2 && wait_written(pid, unfinished.text, before))
+            pause_seconds(0.002 * duration * uniform());
+        else
+            pause_seconds(1.1 * duration * uniform());
         kill(pid, SIGKILL);
         outcome o = finish(pid);
-        killed += o.code == KILLED + SIGKILL;
+        if (o.code != 0 && o.code != KILLED + SIGKILL)
+            fail_msg("kill %llu of seed %llu: exit code %d: %s", (unsigned long long)i, (unsigned long long)kill_seed, o.code, o.err);
+        const bool ended_itself = o.code == 0;
         release(&o);
+        killed += !ended_itself;
+        in_writing += exists(unfinished.text);
+        if (exists(box.text)) /* it gets its name when it's whole */
+            same_file(whole.text, box.text);
         if (exists(part.text)) {
-            o = RUN("merge", part.text, "-o", path_of("look.box.exr").text, "-q");
+            ++with_checkpoint;
+            o = RUN("merge", part.text, "-o", look.text, "-q");
             if (o.code != 0)
-                fail_msg("after kill %d: %s", i, o.err);
+                fail_msg("after kill %llu of seed %llu: %s", (unsigned long long)i, (unsigned long long)kill_seed, o.err);
             release(&o);
         }
+        if (ended_itself || uniform() < 0.25) {
+            bake((const char *const[]){SHORT_BAKE(box.text), "--resume", NULL});
+            same_file(whole.text, box.text);
+            assert_false(exists(part.text));
+            unlink(box.text);
+            ++finished;
+        }
     }
-    assert_true(killed >= 1);
-    BAKE(spot, "-o", box.text, "--photons", "3e6", "--resume");
+    bake((const char *const[]){SHORT_BAKE(box.text), "--resume", NULL});
     same_file(whole.text, box.text);
     assert_false(exists(part.text));
+    print_message("seed %llu: %llu runs, %llu killed, %llu left a checkpoint, %llu one half-written beside it; %llu + 1 resumed to the end\n",
+                  (unsigned long long)kill_seed, (unsigned long long)kills, (unsigned long long)killed, (unsigned long long)with_checkpoint,
+                  (unsigned long long)in_writing, (unsigned long long)finished);
+    assert_true(killed >= 1 && with_checkpoint >= 1);
 }
 
 /* A finished bake that was kept goes on to more photons. */
@@ -378,8 +447,14 @@ static int setup(void **state)
     return 0;
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
+    if (argc == 4 && strcmp(argv[1], "kill") == 0) {
+        kills = strtoull(argv[2], NULL, 10);
+        kill_seed = strtoull(argv[3], NULL, 10);
+        const struct CMUnitTest sweep[] = {cmocka_unit_test(test_killed_and_resumed)};
+        return cmocka_run_group_tests_name("restart_kill", sweep, setup, NULL);
+    }
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_seven_uneven_parts),      cmocka_unit_test(test_shares),
         cmocka_unit_test(test_strangers_are_refused),   cmocka_unit_test(test_damaged_parts),
