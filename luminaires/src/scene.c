@@ -16,8 +16,12 @@
 
 unsigned lum_thread_begin(void)
 {
-    unsigned saved = _mm_getcsr();
-    _mm_setcsr(saved | _MM_FLUSH_ZERO_ON | 0x0040u /* denormals are zero */ | _MM_MASK_MASK);
+    unsigned saved = _mm_getcsr(), on = saved | _MM_FLUSH_ZERO_ON | 0x0040u /* denormals are zero */;
+#ifdef LUMIBOX_TRAPS /* whoever wants traps gets them; intersect() keeps Embree out */
+    _mm_setcsr(on);
+#else
+    _mm_setcsr(on | _MM_MASK_MASK);
+#endif
     return saved;
 }
 
@@ -467,6 +471,18 @@ static inline float beyond(float t, float near)
     return t < near ? 2 * near : next < FLT_MIN ? FLT_MIN : next;
 }
 
+static inline void intersect(RTCScene embree, struct RTCIntersectContext *context, struct RTCRayHit *rayhit)
+{
+#ifdef LUMIBOX_TRAPS /* it divides by directions' zeros */
+    const unsigned saved = _mm_getcsr();
+    _mm_setcsr(saved | _MM_MASK_MASK);
+    rtcIntersect1(embree, context, rayhit);
+    _mm_setcsr(saved);
+#else
+    rtcIntersect1(embree, context, rayhit);
+#endif
+}
+
 /* Closest hit between `near` and `far`, as Embree sees it. */
 static inline bool trace(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, float near, float far, struct RTCRayHit *rayhit)
 {
@@ -475,7 +491,7 @@ static inline bool trace(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, float n
     set_ray(&rayhit->ray, o, d, near, far);
     rayhit->hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rayhit->hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    rtcIntersect1(scene->embree, &context, rayhit);
+    intersect(scene->embree, &context, rayhit);
     return rayhit->hit.geomID != RTC_INVALID_GEOMETRY_ID;
 }
 
@@ -678,7 +694,7 @@ uint64_t lum_scene_trace_raw(const lum_scene *scene, const float *rays, size_t c
         rayhit.ray.flags = 0;
         rayhit.hit.geomID = RTC_INVALID_GEOMETRY_ID;
         rayhit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-        rtcIntersect1(scene->embree, &context, &rayhit);
+        intersect(scene->embree, &context, &rayhit);
         hits += rayhit.hit.geomID != RTC_INVALID_GEOMETRY_ID;
     }
     return hits;

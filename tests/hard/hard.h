@@ -2,7 +2,7 @@
 /*
  * The hard-case suite: each case has an exact expectation, is checked, and leaves a line for docs/hard-cases.md (scripts/hard-cases
  * puts the page together).  Floating-point traps are on in these programs: an invalid operation or a division by zero in our own code
- * ends them.  (Threads that trace have them masked, as Embree needs.)
+ * ends them.  Built with LUMIBOX_TRAPS, also in threads that trace, everywhere but inside Embree; otherwise those have them masked.
  * To be included after cmocka.h.
  */
 #ifndef TESTS_HARD_H
@@ -18,8 +18,8 @@
 /* To be called first: opens the group's list of results and sets the traps.  For cmocka_run_group_tests_name: NULL otherwise. */
 void hard_begin(const char *group);
 
-/* No traps from here on: for programs that meet rough lobes, whose tables are vectorized (-fno-trapping-math: lanes that aren't needed
- * divide by zero). */
+/* No traps from here on, unless built with LUMIBOX_TRAPS: for programs that meet rough lobes, whose tables are vectorized
+ * (-fno-trapping-math: lanes that aren't needed divide by zero). */
 void hard_without_traps(void);
 
 /* A case whose result is a number: fails the test unless got <= bound (NaN fails).  Texts: one line each, without tabs. */

@@ -65,6 +65,48 @@ static estimate by_sampling(const lmg_field *f, lmg_vec3 point, lmg_vec3 normal,
     return e;
 }
 
+/* The density over all directions is one (of directions without light, where a try gives no sample, too): by stratified directions in the cone that
+ * holds the box. */
+static void test_density(void **state)
+{
+    (void)state;
+    static const lmg_layout_choice CHOICES[2] = {LMG_LAYOUT_CUBE, LMG_LAYOUT_APERTURE};
+    static const double HEIGHTS[] = {1e-2, 0.3, 3, 1e3, 1e6};
+    for (int c = 0; c < 2; ++c) {
+        lmg_field *f = panel(CHOICES[c]);
+        const lmg_layout *y = lmg_field_layout(f);
+        const lmg_vec3 lo = y->bounds_min, hi = y->bounds_max, middle = v3(0.5 * (lo.x + hi.x), 0.5 * (lo.y + hi.y), 0.5 * (lo.z + hi.z));
+        const double radius = 0.5 * sqrt((hi.x - lo.x) * (hi.x - lo.x) + (hi.y - lo.y) * (hi.y - lo.y) + (hi.z - lo.z) * (hi.z - lo.z));
+        for (size_t k = 0; k < sizeof(HEIGHTS) / sizeof(HEIGHTS[0]); ++k) {
+            const double h = HEIGHTS[k] * y->size;
+            const lmg_vec3 p = v3(middle.x + 0.2 * h, lo.y - h, middle.z - 0.1 * h);
+            const lmg_vec3 to = v3(middle.x - p.x, middle.y - p.y, middle.z - p.z);
+            const double away = sqrt(to.x * to.x + to.y * to.y + to.z * to.z);
+            /* 1 - cos of the cone's half-angle; near the box all directions upward and some more */
+            const double sine = radius / away, rise = sine < 1 ? sine * sine / (1 + sqrt(1 - sine * sine)) : 2;
+            const lmg_vec3 axis = v3(to.x / away, to.y / away, to.z / away);
+            const lmg_vec3 side = v3(axis.y / hypot(axis.x, axis.y), -axis.x / hypot(axis.x, axis.y), 0);
+            const lmg_vec3 third = v3(axis.y * side.z - axis.z * side.y, axis.z * side.x - axis.x * side.z, axis.x * side.y - axis.y * side.x);
+            enum { STRATA = 700 };
+            double sum = 0, squares = 0;
+            for (int i = 0; i < STRATA * STRATA; ++i) {
+                lum_rng rng = lum_rng_stream(78, (uint64_t)i);
+                const double w = rise * (i / STRATA + lum_rng_next(&rng)) / STRATA, phi = 6.283185307179586 * (i % STRATA + lum_rng_next(&rng)) / STRATA;
+                const double up = 1 - w, across = sqrt(w * (2 - w)), x = across * cos(phi), z = across * sin(phi);
+                const lmg_vec3 d = v3(up * axis.x + x * side.x + z * third.x, up * axis.y + x * side.y + z * third.y, up * axis.z + x * side.z + z * third.z);
+                const double pdf = lmg_field_point_pdf(f, p, d);
+                sum += pdf;
+                squares += pdf * pdf;
+            }
+            const double n = STRATA * STRATA, whole = 6.283185307179586 * rise, integral = whole * sum / n;
+            const double error = whole * sqrt((squares / n - sum / n * sum / n) / n); /* of random directions; strata have less */
+            hard_at_most(hard_text("%s box from %g sizes below", c ? "aperture" : "cube", HEIGHTS[k]),
+                         "density over all directions: differs from 1, in standard errors", fabs(integral - 1) / error, 3);
+        }
+        lmg_field_destroy(f);
+    }
+}
+
 static void test_distances(void **state)
 {
     (void)state;
@@ -169,6 +211,7 @@ int main(void)
 {
     hard_begin("sampling");
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_density),
         cmocka_unit_test(test_distances),
         cmocka_unit_test(test_across_the_face),
         cmocka_unit_test(test_one_bright_cell),
