@@ -16,6 +16,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 enum {
     KEY_TO = 256,
@@ -430,6 +431,11 @@ static lmg_result to_pictures(const command *c, const opened_source *a, bake_con
     r->flux_out = report.flux;
     r->pictures = report.pictures;
     r->dark = report.dark;
+    r->raw_bytes = report.raw_bytes;
+    r->stored_bytes = report.stored_bytes;
+    struct stat file;
+    if (a->kind == SOURCE_BOX && stat(a->path, &file) == 0)
+        r->box_bytes = (uint64_t)file.st_size;
     r->distance = report.distance;
     r->seconds += report.seconds;
     lmg_field_destroy(made);
@@ -507,8 +513,10 @@ static json_t *report_json(const command *c, const opened_source *a, const bake_
         json_object_set_new(o, "not_kept", json_string(c->losses));
     }
     if (c->to == TO_PICTURES)
-        json_object_set_new(o, "pictures", json_pack("{s:i, s:i, s:f}", "count", (int)r->pictures, "dark", (int)r->dark, "distance_m",
-                                                     r->distance));
+        json_object_set_new(o, "pictures", json_pack("{s:i, s:i, s:f, s:I, s:I}", "count", (int)r->pictures, "dark", (int)r->dark, "distance_m",
+                                                     r->distance, "raw_bytes", (json_int_t)r->raw_bytes, "stored_bytes", (json_int_t)r->stored_bytes));
+    if (c->to == TO_PICTURES && r->box_bytes)
+        json_object_set_new(o, "box_bytes", json_integer((json_int_t)r->box_bytes));
     if (c->near_count) {
         json_t *near = json_array();
         for (size_t i = 0; i < c->near_count; ++i)
@@ -531,6 +539,12 @@ static void print_report(const command *c, const opened_source *a, const bake_co
         printf("  rays      %" PRIu64 " of %" PRIu64 " photons, %.1f s\n", r->rays, r->photons, r->seconds);
     if (c->to == TO_PICTURES)
         printf("  pictures  %u from %.4g m, %u of them dark and left out, %.1f s\n", r->pictures, r->distance, r->dark, r->seconds);
+    if (c->to == TO_PICTURES) {
+        printf("  size      %.3g MB as plain floats, %.3g MB on disk", 1e-6 * (double)r->raw_bytes, 1e-6 * (double)r->stored_bytes);
+        if (r->box_bytes)
+            printf("; the box has %.3g MB", 1e-6 * (double)r->box_bytes);
+        printf("\n");
+    }
     printf("  flux in   %14.8g %s\n", r->flux_in, unit);
     printf("  flux out  %14.8g %s  +- %.2g\n", r->flux_out, unit, r->out_se);
     printf("  loss      %14.2g %%\n", 100 * (r->flux_in - r->flux_out) / r->flux_in);

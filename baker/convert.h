@@ -29,6 +29,8 @@ typedef struct bake_conversion {
     uint64_t refused;        /* of a box: rays that can't be counted */
     double noise;            /* of a far field: RMS standard error / RMS intensity, over the sphere */
     uint32_t pictures, dark; /* of a set of pictures: all; those without light */
+    uint64_t raw_bytes, stored_bytes; /* of a set of pictures: as plain floats; on disk */
+    uint64_t box_bytes;               /* of the box file that they were taken of; 0: none */
     double distance;         /* of their camera, metres */
     double seconds;
     char layout_why[1024]; /* of a box */

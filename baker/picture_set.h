@@ -27,6 +27,8 @@ typedef struct bake_picture_set_options {
 typedef struct bake_picture_set_report {
     uint32_t pictures, dark; /* in all; without light, for which no file is written */
     double flux;             /* that the pictures add up to, lumens or watts */
+    uint64_t raw_bytes;      /* of all pictures as plain floats, dark ones too */
+    uint64_t stored_bytes;   /* of the files in the folder */
     double distance;
     double seconds;
 } bake_picture_set_report;

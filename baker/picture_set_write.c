@@ -80,6 +80,12 @@ static double flux_of(const picture_set *set, const lum_picture *picture, uint32
     return sum * set_cell_area(set, index / set->columns, index % set->columns);
 }
 
+static uint64_t file_bytes(const char *path)
+{
+    struct stat s;
+    return stat(path, &s) == 0 ? (uint64_t)s.st_size : 0;
+}
+
 static lmg_result write_block(picture_set *set, const char *folder, uint32_t first, uint32_t count, const lum_picture *pictures,
                               bake_picture_set_report *report, lmg_error *err)
 {
@@ -87,6 +93,7 @@ static lmg_result write_block(picture_set *set, const char *folder, uint32_t fir
         const uint32_t index = first + i;
         bool dark;
         report->flux += flux_of(set, &pictures[i], index, &dark);
+        report->raw_bytes += (uint64_t)set->width * set->height * (pictures[i].colour ? 3 : 1) * sizeof(float);
         ++report->pictures;
         if (dark) {
             ++report->dark;
@@ -99,6 +106,7 @@ static lmg_result write_block(picture_set *set, const char *folder, uint32_t fir
         const lmg_result result = lum_picture_write(&pictures[i], path, err);
         if (result != LMG_OK)
             return result;
+        report->stored_bytes += file_bytes(path);
         set->files[index] = strdup(name);
         if (!set->files[index])
             return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for a name");
@@ -213,6 +221,9 @@ lmg_result bake_picture_set_write(const lmg_field *field, const bake_picture_set
     result = take_pictures(field, o, &set, temporary, report, err);
     if (result == LMG_OK)
         result = set_write_index(&set, temporary, report->flux, o->origin, err);
+    char index[2100];
+    snprintf(index, sizeof(index), "%s/index.json", temporary);
+    report->stored_bytes += file_bytes(index);
     if (result == LMG_OK && rename(temporary, folder) != 0)
         result = lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: can't put the finished folder in place: %s", folder, strerror(errno));
     if (result != LMG_OK)

@@ -21,6 +21,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 static const char LAMP[] = LUMIBOX_BINARY_DIR "/models/opal-globe/opal-globe.gltf";
@@ -67,6 +68,29 @@ static double converts(const char *from, const char *to, const char *option, con
     return out;
 }
 
+static json_int_t bytes_of(const char *path)
+{
+    struct stat s;
+    assert_int_equal(stat(path, &s), 0);
+    return (json_int_t)s.st_size;
+}
+
+/* Of the files in a folder. */
+static json_int_t bytes_in(const char *path)
+{
+    json_int_t sum = 0;
+    DIR *d = opendir(path);
+    assert_non_null(d);
+    for (const struct dirent *e; (e = readdir(d));) {
+        char file[1600];
+        snprintf(file, sizeof(file), "%s/%s", path, e->d_name);
+        if (e->d_name[0] != '.')
+            sum += bytes_of(file);
+    }
+    closedir(d);
+    return sum;
+}
+
 static void arrows(void **state)
 {
     (void)state;
@@ -102,6 +126,21 @@ static void arrows(void **state)
     assert_int_equal(o.code, 0);
     release(&o);
     EXPECT(RUN("convert", box.text, set.text, "--to", "pictures"), 1, "something in it");
+    /* 12 x 24 pictures of 16 x 16 pixels of one colour or three, as floats; what is on disk is told as it is */
+    const name small = path_of("small");
+    o = RUN("convert", box.text, small.text, "--to", "pictures", "--step", "15", "--pixels", "16", "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = json_loads(o.out, 0, NULL), *pictures = json_object_get(j, "pictures");
+    const json_int_t raw = json_integer_value(json_object_get(pictures, "raw_bytes"));
+    assert_true(raw == 288 * 256 * 4 || raw == 288 * 256 * 12);
+    assert_int_equal(json_integer_value(json_object_get(pictures, "stored_bytes")), bytes_in(small.text));
+    assert_int_equal(json_integer_value(json_object_get(j, "box_bytes")), bytes_of(box.text));
+    json_decref(j);
+    release(&o);
+    o = RUN("convert", box.text, path_of("small2").text, "--to", "pictures", "--step", "15", "--pixels", "16");
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "MB on disk; the box has"));
+    release(&o);
 }
 
 /* Rays in watts make a box in watts, and what reads it says so. */
