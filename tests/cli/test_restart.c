@@ -432,6 +432,7 @@ static void test_mpi(void **state)
     BAKE_PLANNED(globe, "-o", whole.text, "--photons", all, "--pilot", "100000");
     same_file(whole.text, box.text);
     EXPECT(finish(start_team((const char *const[]){"missing.gltf", "-o", box.text, NULL})), 3, "missing.gltf");
+    EXPECT(finish(start_team((const char *const[]){globe, "-o", box.text, "--error", "5%", NULL})), 3, "run it without mpirun");
     unsetenv("ASAN_OPTIONS");
 #endif
 }
