@@ -587,7 +587,7 @@ uint32_t lum_scene_all_here(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 di
     set_ray(&rayhit.ray, vec_along(hits[0].position, direction, -reach), direction, 0, nextafterf((float)(2 * reach), INFINITY));
     rayhit.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rayhit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    rtcIntersect1(scene->embree, &query.context, &rayhit);
+    intersect(scene->embree, &query.context, &rayhit);
     const uint32_t count = query.count;
     if (count == 1) {
         return 1;
