@@ -72,7 +72,7 @@ uint32_t bake_effects_of_material(const lum_material *m)
     const lum_spectral *spectral = &m->spectral;
     if (spectral->index)
         e |= bit(BAKE_DISPERSION);
-    if (spectral->reflectance || spectral->transmittance || spectral->absorption || (spectral->eta && spectral->k))
+    if (spectral->reflectance || spectral->transmittance || spectral->absorption || spectral->scattering || (spectral->eta && spectral->k))
         e |= bit(BAKE_SPECTRA);
     if (spectral->converted)
         e |= bit(BAKE_FLUORESCENCE);
@@ -104,7 +104,7 @@ uint32_t bake_effects_of_material(const lum_material *m)
             e |= bit(m->thin ? BAKE_GLASS_THIN : smooth ? BAKE_GLASS_SMOOTH : BAKE_GLASS_ROUGH);
             if (!m->thin && (m->absorption[0] > 0 || m->absorption[1] > 0 || m->absorption[2] > 0))
                 e |= bit(BAKE_ABSORPTION);
-            if (!m->thin && (m->scattering[0] > 0 || m->scattering[1] > 0 || m->scattering[2] > 0))
+            if (!m->thin && (m->scattering[0] > 0 || m->scattering[1] > 0 || m->scattering[2] > 0 || spectral->scattering))
                 e |= bit(BAKE_MEDIUM);
         }
         if (m->transmission < 1 || m->transmission_texture.image != LUM_NONE) {
@@ -289,15 +289,19 @@ static void strip_material(const lum_model *model, uint32_t keep, lum_material *
         flatten_textures(model, m);
     if (drop & bit(BAKE_ABSORPTION))
         m->absorption[0] = m->absorption[1] = m->absorption[2] = 0;
-    if (drop & bit(BAKE_MEDIUM))
-        m->scattering[0] = m->scattering[1] = m->scattering[2] = 0;
     lum_spectral *spectral = &m->spectral;
+    if (drop & bit(BAKE_MEDIUM)) {
+        m->scattering[0] = m->scattering[1] = m->scattering[2] = 0;
+        spectral->scattering = NULL;
+    }
     if (drop & bit(BAKE_DISPERSION))
         spectral->index = NULL;
     if (drop & bit(BAKE_SPECTRA))
-        spectral->reflectance = spectral->transmittance = spectral->absorption = spectral->eta = spectral->k = NULL;
-    if (drop & bit(BAKE_FLUORESCENCE))
+        spectral->reflectance = spectral->transmittance = spectral->absorption = spectral->scattering = spectral->eta = spectral->k = NULL;
+    if (drop & bit(BAKE_FLUORESCENCE)) {
         spectral->converted = spectral->excitation = NULL;
+        spectral->fills = false;
+    }
     if (drop & bit(BAKE_DIFFUSE_TRANSMISSION))
         m->diffuse_transmission = 0;
     if (drop & (bit(BAKE_GLASS_ROUGH) | bit(BAKE_CONDUCTOR_ROUGH)))

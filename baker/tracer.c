@@ -170,7 +170,7 @@ static tracer_medium *list_media(const lum_model *model)
         }
         media[i].absorbs |= media[i].solid && m->spectral.absorption;
         lum_medium_set(&media[i].inside, m->scattering, m->absorption, m->anisotropy);
-        media[i].scatters = media[i].solid && media[i].inside.scatters;
+        media[i].scatters = media[i].solid && (media[i].inside.scatters || m->spectral.scattering || m->spectral.fills);
     }
     if (media && !rank_media(model, media)) {
         free(media);

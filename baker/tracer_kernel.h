@@ -282,37 +282,47 @@ static inline bool choose_wave(const tracer *t, worker *w, path *p, int32_t mate
 }
 
 /*
- * A layer of phosphor takes its share of each wave and emits what the quantum yield leaves of the photons, Lambertian to both
- * sides; what it doesn't take goes on to be scattered.  One of the two is followed, in proportion to its importance.  Returns
- * whether anything is left; *converted: which of them.
+ * Of each wave a phosphor takes `taken`, of which it emits what the quantum yield leaves of the photons, and `rest` is scattered.  One
+ * of the two is followed, in proportion to its importance.  Returns whether anything is left; *converted: which of them.
  */
-static inline bool meet_phosphor(const tracer *t, worker *w, path *p, const lum_phosphor *phosphor, bool *converted)
+static inline bool convert(const tracer *t, worker *w, path *p, const lum_phosphor *phosphor, const double taken[LUM_WAVES],
+                           const float rest[LUM_WAVES], bool *converted)
 {
     lum_waves *waves = &p->waves;
-    double taken = 0, rest = 0, before = 0; /* luminance emitted; importances */
-    float share[LUM_WAVES];
+    double light = 0, scattered = 0, before = 0; /* luminance emitted; importances */
     for (uint32_t i = 0; i < waves->count; ++i) {
-        const double nm = (double)waves->nm[i], a = lum_spectrum_at(phosphor->excitation, nm), s = (double)waves->share[i];
-        taken += s * a * lum_phosphor_gain(t->spectral, phosphor, nm);
-        share[i] = (float)(1 - a);
-        rest += s * (double)share[i] * (double)waves->importance[i];
+        const double s = (double)waves->share[i];
+        light += s * taken[i] * lum_phosphor_gain(t->spectral, phosphor, (double)waves->nm[i]);
+        scattered += s * (double)rest[i] * (double)waves->importance[i];
         before += s * (double)waves->importance[i];
     }
-    const double emitted = taken * phosphor->importance, all = emitted + rest;
+    const double emitted = light * phosphor->importance, all = emitted + scattered;
     *converted = false;
     if (!(emitted > 0))
-        return survives(w, p, share);
+        return survives(w, p, rest);
     *converted = lum_rng_next(&p->rng) * all < emitted;
     double luminance;
     if (*converted) {
-        luminance = taken / emitted * all;
+        luminance = light / emitted * all;
         luminance *= lum_waves_draw(t->spectral, &phosphor->light, lum_rng_next(&p->rng), waves);
     } else {
-        lum_waves_weigh(waves, share, &luminance);
-        luminance *= all / rest;
+        lum_waves_weigh(waves, rest, &luminance);
+        luminance *= all / scattered;
     }
     /* Of a lone wave that stays as it is, survives_loss keeps the luminance. */
     return survives_loss(w, p, all / before, luminance);
+}
+
+/* A layer of phosphor takes its share of each wave, and emits Lambertian to both sides. */
+static inline bool meet_phosphor(const tracer *t, worker *w, path *p, const lum_phosphor *phosphor, bool *converted)
+{
+    double taken[LUM_WAVES];
+    float rest[LUM_WAVES];
+    for (uint32_t i = 0; i < p->waves.count; ++i) {
+        taken[i] = lum_spectrum_at(phosphor->excitation, (double)p->waves.nm[i]);
+        rest[i] = (float)(1 - taken[i]);
+    }
+    return convert(t, w, p, phosphor, taken, rest, converted);
 }
 #endif
 
@@ -640,10 +650,21 @@ static inline uint32_t fly_waves(const tracer *t, worker *w, uint32_t i, const t
     path *p = &w->path[i];
     float share[LUM_WAVES];
     if (m) {
+        const int32_t material = p->inside[p->nested - 1];
+        const lum_phosphor *phosphor = t->spectral->materials[material].filling;
+        double taken[LUM_WAVES];
         const bool passed =
-            lum_waves_fly(t->spectral, p->inside[p->nested - 1], &m->inside, length, &p->rng, &p->waves, share, &flight->t);
+            lum_waves_fly(t->spectral, material, &m->inside, length, &p->rng, &p->waves, share, phosphor ? taken : NULL, &flight->t);
         flight->event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED;
         flight->g = m->inside.g;
+        if (phosphor && !passed) {
+            bool converted;
+            if (!convert(t, w, p, phosphor, taken, share, &converted))
+                return 0;
+            if (converted)
+                flight->g = 0; /* what particles emit goes to all sides */
+            return 1;
+        }
     } else {
         double colours[3];
         lum_waves_colours(t->spectral, &p->waves, colours);

@@ -89,10 +89,7 @@ void view_bands_transmittance(const view_bands *b, const view_medium *m, double 
     float share[LUM_WAVES];
     lum_waves_absorbed(m->tables, m->index, absorption, distance, &b->waves, share);
     for (uint32_t i = 0; i < b->count; i++) {
-        double scattering = 0;
-        for (int c = 0; c < 3; c++) {
-            scattering += m->inside.scattering[c] * lum_spectrum_at(&m->tables->basis[c], (double)b->waves.nm[i]);
-        }
+        double scattering = lum_waves_scattering(m->tables, m->index, &m->inside, (double)b->waves.nm[i]);
         out[i] = (double)share[i] * (m->scatters ? exp(-scattering * distance) : 1);
     }
 }
@@ -144,7 +141,8 @@ bool view_bands_fly(view_bands *b, const view_medium *medium, const lum_volumes 
     if (b->tables && medium) {
         float share[LUM_WAVES];
         keep_shares(b);
-        bool passed = lum_waves_fly(medium->tables, medium->index, &medium->inside, length, rng, &b->waves, share, &flight->t);
+        bool passed = lum_waves_fly(medium->tables, medium->index, &medium->inside, length, rng, &b->waves, share, NULL,
+                                    &flight->t);
         flight->event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED;
         flight->t = passed ? length : flight->t;
         flight->g = medium->inside.g;

@@ -43,9 +43,15 @@ static lmg_result prepare_media(view_object *object, lmg_error *err)
     }
     for (uint32_t i = 0; i < model->material_count; i++) {
         const lum_material *m = &model->materials[i];
+        if (m->spectral.fills) {
+            return lmg_fail(err, LMG_ERROR_UNSUPPORTED,
+                            "%s: material \"%.60s\" is filled with phosphor, which lumiview doesn't follow; bake the lamp and light the scene with "
+                            "its box",
+                            model->path, m->name);
+        }
         object->media[i] = (view_medium){.material = m, .index = (int32_t)i};
         lum_medium_set(&object->media[i].inside, m->scattering, m->absorption, m->anisotropy);
-        object->media[i].scatters = object->media[i].inside.scatters;
+        object->media[i].scatters = object->media[i].inside.scatters || m->spectral.scattering;
     }
     return LMG_OK;
 }

@@ -38,6 +38,7 @@ typedef struct lum_recipe_entry {
     float reflectance[3], transmittance[3], roughness, eta[3], k[3], absorption[3];
     bool has_medium;
     float scattering[3], medium_absorption[3], anisotropy;
+    lum_spectral filling; /* of the medium: scattering, absorption, phosphor */
     float through; /* of a diffusing layer: share of what it scatters that goes to the far side, at most */
     char profile[1024];    /* photometric file of a light at matching nodes, "" = none */
     bool profile_point;    /* from a point, whatever shape the file gives */

@@ -217,6 +217,20 @@ static void apply_finish(lum_material *m, const lum_recipe_entry *e)
     }
 }
 
+/* What is known by wavelength of the inside of a solid. */
+static void set_filling(lum_material *m, const lum_spectral *from)
+{
+    lum_spectral *s = &m->spectral;
+    s->absorption = from->absorption;
+    s->scattering = from->scattering;
+    if (from->fills || s->fills) {
+        s->excitation = from->excitation;
+        s->converted = from->converted;
+        s->quantum_yield = from->quantum_yield;
+        s->fills = from->fills;
+    }
+}
+
 static void apply_entry(lum_material *m, const lum_recipe_entry *e)
 {
     const lum_texture none = {.image = LUM_NONE, .m = {{1, 0, 0}, {0, 1, 0}}};
@@ -231,11 +245,13 @@ static void apply_entry(lum_material *m, const lum_recipe_entry *e)
         m->thin = e->thin;
         for (int i = 0; i < 3 && e->thin; i++)
             m->absorption[i] = m->scattering[i] = 0;
+        if (e->thin)
+            set_filling(m, &(lum_spectral){0});
     }
     if (e->has_medium) {
         memcpy(m->scattering, e->scattering, sizeof m->scattering);
         memcpy(m->absorption, e->medium_absorption, sizeof m->absorption);
-        m->spectral.absorption = NULL;
+        set_filling(m, &e->filling);
         m->anisotropy = e->anisotropy;
     }
     if (e->no_emission || e->emitter) {
@@ -315,7 +331,8 @@ static lmg_result find_variant(applying *a, uint32_t p)
             lum_warn(b, "recipe %s: \"thin\" changes nothing on material \"%.60s\", which lets no light through; \"glass\" would",
                      e->where, base->name);
     }
-    if (medium && (changed.scattering[0] > 0 || changed.scattering[1] > 0 || changed.scattering[2] > 0))
+    if (medium && (changed.scattering[0] > 0 || changed.scattering[1] > 0 || changed.scattering[2] > 0 || changed.spectral.scattering ||
+                   changed.spectral.fills))
         LUM_TRY(lum_recipe_check_medium(b, medium, &changed));
     for (uint32_t i = 0; i < n; i++) {
         const lum_recipe_entry *e = &b->recipe->entries[i];
@@ -411,7 +428,7 @@ static lmg_result adopt_spectra(lum_build *b)
         for (uint32_t k = 0; k < b->model->material_count; k++) {
             lum_spectral *s = &b->model->materials[k].spectral;
             const lum_spectrum **part[] = {&s->emission, &s->index, &s->absorption, &s->reflectance, &s->transmittance,
-                                           &s->eta,      &s->k,     &s->excitation, &s->converted};
+                                           &s->eta,      &s->k,     &s->excitation, &s->converted,   &s->scattering};
             for (size_t p = 0; p < sizeof part / sizeof *part; p++) {
                 if (*part[p] != theirs)
                     continue;

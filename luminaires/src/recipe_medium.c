@@ -8,6 +8,7 @@
 #include "gltf_file.h"
 #include "model_build.h"
 #include "recipe_reader.h"
+#include "recipe_spectrum.h"
 
 #include <luminaires/medium.h>
 
@@ -57,6 +58,58 @@ static bool any(const float rgb[3])
     return rgb[0] > 0 || rgb[1] > 0 || rgb[2] > 0;
 }
 
+/* A coefficient or an albedo of a medium: in R,G,B, and as a spectrum where it is given so. */
+typedef struct coefficient {
+    bool given;
+    float rgb[3];
+    const lum_spectrum *by_nm;
+} coefficient;
+
+static coefficient read_one(lum_reader *r, const char *key, double most)
+{
+    coefficient c = {.given = false};
+    c.given = lum_reader_property(r, key, 0, most, c.rgb, &c.by_nm);
+    return c;
+}
+
+static double at(const coefficient *c, int i)
+{
+    if (c->by_nm)
+        return (double)c->by_nm->value[i];
+    double basis[3];
+    lum_colour_basis(LUM_NM_FIRST + i, basis);
+    return (double)c->rgb[0] * basis[0] + (double)c->rgb[1] * basis[1] + (double)c->rgb[2] * basis[2];
+}
+
+/* As read_coefficients, but each may be a spectrum. */
+static void read_spectral_coefficients(lum_reader *r, lum_recipe_entry *e)
+{
+    const coefficient scattering = read_one(r, "scattering", MAX_COEFFICIENT), absorption = read_one(r, "absorption", MAX_COEFFICIENT);
+    const coefficient extinction = read_one(r, "extinction", MAX_COEFFICIENT), albedo = read_one(r, "albedo", 1);
+    if (!(extinction.given || albedo.given || scattering.given || absorption.given || e->filling.fills))
+        lum_reader_check_rest(r);
+    if (extinction.given != albedo.given || (extinction.given && (scattering.given || absorption.given)) ||
+        !(extinction.given || scattering.given || absorption.given || e->filling.fills))
+        lum_reader_fail(r, "", "give \"scattering\" and \"absorption\" (1/m), or \"extinction\" (1/m) and \"albedo\"");
+    if (r->result)
+        return;
+    for (int c = 0; c < 3; c++) {
+        const double x = (double)extinction.rgb[c], s = extinction.given ? x * (double)albedo.rgb[c] : (double)scattering.rgb[c];
+        e->scattering[c] = (float)s;
+        e->medium_absorption[c] = (float)(extinction.given ? x - s : (double)absorption.rgb[c]);
+    }
+    if (!scattering.by_nm && !absorption.by_nm && !extinction.by_nm && !albedo.by_nm)
+        return;
+    lum_spectrum s, a;
+    for (int i = 0; i < LUM_SPECTRUM_COUNT; i++) {
+        const double x = at(&extinction, i), w = extinction.given ? x * at(&albedo, i) : at(&scattering, i);
+        s.value[i] = (float)w;
+        a.value[i] = (float)(extinction.given ? x - w : at(&absorption, i));
+    }
+    e->filling.scattering = lum_reader_keep(r, &s);
+    e->filling.absorption = r->result ? NULL : lum_reader_keep(r, &a);
+}
+
 void lum_recipe_read_medium(lum_reader *r, lum_recipe_entry *e)
 {
     lum_reader in;
@@ -64,8 +117,10 @@ void lum_recipe_read_medium(lum_reader *r, lum_recipe_entry *e)
         return;
     e->has_medium = true;
     e->anisotropy = read_anisotropy(&in);
-    read_coefficients(&in, 1, e->scattering, e->medium_absorption);
-    if (!in.result && !any(e->scattering))
+    lum_recipe_read_filling(&in, MAX_COEFFICIENT, &e->filling);
+    read_spectral_coefficients(&in, e);
+    const bool scatters = any(e->scattering) || (e->filling.scattering && lum_spectrum_peak(e->filling.scattering) > 0);
+    if (!in.result && !scatters && !e->filling.fills)
         lum_reader_fail(&in, "", "scatters nothing; absorption alone is said by \"glass\" with \"absorption\"");
     lum_reader_close(r, &in);
 }

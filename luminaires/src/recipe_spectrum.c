@@ -18,16 +18,8 @@ typedef struct wanted {
 
 static const wanted A_LIGHT = {LUM_SPECTRUM_ZERO, 0, 1e30};
 
-double lum_spectrum_peak(const lum_spectrum *s)
-{
-    double peak = 0;
-    for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i)
-        peak = fmax(peak, (double)s->value[i]);
-    return peak;
-}
-
 /* Puts a spectrum into the recipe, which owns it. */
-static const lum_spectrum *keep(lum_reader *r, const lum_spectrum *s)
+const lum_spectrum *lum_reader_keep(lum_reader *r, const lum_spectrum *s)
 {
     lum_recipe *recipe = r->recipe;
     lum_spectrum **grown = realloc(recipe->spectra, (recipe->spectrum_count + 1u) * sizeof *grown);
@@ -158,7 +150,7 @@ static const lum_spectrum *get_spectrum(lum_reader *r, const char *key, const wa
         return NULL;
     read_spectrum(&in, want, &s);
     lum_reader_close(r, &in);
-    return r->result ? NULL : keep(r, &s);
+    return r->result ? NULL : lum_reader_keep(r, &s);
 }
 
 /* --------------------------------------------------------------------------------------------------------------- keys */
@@ -183,7 +175,7 @@ bool lum_reader_light(lum_reader *r, const char *key, const lum_spectrum **out)
         lum_reader_fail(r, key, "\"%.40s\" is not one of %s; a file is {\"file\": \"%.40s\"}", name, lum_spectrum_illuminant_names(),
                         name);
     else
-        *out = keep(r, &s);
+        *out = lum_reader_keep(r, &s);
     return !r->result;
 }
 
@@ -191,7 +183,7 @@ const lum_spectrum *lum_reader_blackbody(lum_reader *r, double kelvin)
 {
     lum_spectrum s;
     lum_spectrum_blackbody(kelvin, &s);
-    return r->result ? NULL : keep(r, &s);
+    return r->result ? NULL : lum_reader_keep(r, &s);
 }
 
 void lum_reader_metal(lum_reader *r, const char *name, const lum_spectrum **eta, const lum_spectrum **k)
@@ -199,8 +191,8 @@ void lum_reader_metal(lum_reader *r, const char *name, const lum_spectrum **eta,
     lum_spectrum e, x;
     if (r->result || !lum_spectrum_of_metal(name, &e, &x))
         return;
-    *eta = keep(r, &e);
-    *k = r->result ? NULL : keep(r, &x);
+    *eta = lum_reader_keep(r, &e);
+    *k = r->result ? NULL : lum_reader_keep(r, &x);
 }
 
 bool lum_reader_property(lum_reader *r, const char *key, double low, double high, float rgb[3], const lum_spectrum **out)
@@ -264,7 +256,7 @@ static void from_model(lum_reader *r, const lum_index_model *model, double *ior,
         return;
     }
     *ior = lum_index_at(model, LUM_NM_D);
-    *out = keep(r, &s);
+    *out = lum_reader_keep(r, &s);
 }
 
 bool lum_reader_index(lum_reader *r, double *ior, const lum_spectrum **out)
@@ -302,7 +294,7 @@ bool lum_reader_index(lum_reader *r, double *ior, const lum_spectrum **out)
             from_model(r, &model, ior, out);
         else if (!r->result) {
             *ior = lum_spectrum_at(&s, LUM_NM_D);
-            *out = keep(r, &s);
+            *out = lum_reader_keep(r, &s);
         }
         return !r->result;
     }
@@ -327,7 +319,7 @@ static void complete(lum_reader *r, lum_recipe_entry *e)
             const double colour[3] = {(double)rgb[i][0], (double)rgb[i][1], (double)rgb[i][2]};
             lum_spectrum s;
             lum_spectrum_of_reflectance(colour, &s);
-            *part[i] = keep(r, &s);
+            *part[i] = lum_reader_keep(r, &s);
         }
 }
 
@@ -359,39 +351,65 @@ void lum_recipe_read_layer(lum_reader *in, lum_recipe_entry *e, bool by_waveleng
     e->through = peak[1] > 0 ? (float)(peak[1] / (peak[0] + peak[1])) : 0;
 }
 
+/* More energy than it takes is nothing that a phosphor emits. */
+static void check_energy(lum_reader *in, const lum_spectral *s)
+{
+    double power = 0, moment = 0;
+    if (in->result)
+        return;
+    for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
+        power += (double)s->converted->value[i];
+        moment += (double)s->converted->value[i] * (LUM_NM_FIRST + i);
+    }
+    const double mean = moment / power, yield = (double)s->quantum_yield;
+    const double least = 1e-3 * (s->fills ? lum_spectrum_peak(s->excitation) : 1); /* what is below is the tail of a fit */
+    for (int i = 0; i < LUM_SPECTRUM_COUNT && !in->result; ++i)
+        if ((double)s->excitation->value[i] > least && yield * (LUM_NM_FIRST + i) > mean)
+            lum_reader_fail(in, "absorption",
+                            "at %d nm it would emit more energy than it takes: %g photons of %.0f nm on average; end it before %.0f nm",
+                            LUM_NM_FIRST + i, yield, mean, mean / yield);
+}
+
+/* What converts: absorption, within [0, most]; emission; yield. */
+static void read_conversion(lum_reader *in, double most, const char *what, lum_spectral *s)
+{
+    double yield = 1;
+    float rgb[3];
+    if (!lum_reader_property(in, "absorption", 0, most, rgb, &s->excitation) || !s->excitation)
+        lum_reader_fail(in, "absorption", "needs a spectrum: %s, by wavelength", what);
+    if (!lum_reader_light(in, "emission", &s->converted))
+        lum_reader_fail(in, "emission", "is missing: the spectrum of the light that the phosphor emits");
+    if (!lum_reader_number(in, "quantum_yield", 0, 1, &yield))
+        lum_reader_fail(in, "quantum_yield", "is missing: photons emitted per photon absorbed");
+    s->quantum_yield = (float)yield;
+}
+
+bool lum_recipe_read_filling(lum_reader *r, double most, lum_spectral *s)
+{
+    lum_reader in;
+    if (!lum_reader_open(r, "phosphor", &in))
+        return false;
+    read_conversion(&in, most, "what the phosphor absorbs, in 1/m", s);
+    s->fills = true;
+    check_energy(&in, s);
+    lum_reader_close(r, &in);
+    return !r->result;
+}
+
 void lum_recipe_read_phosphor(lum_reader *r, lum_recipe_entry *e)
 {
     lum_reader in;
-    double yield = 1, forward = 0.5;
-    float rgb[3];
+    double forward = 0.5;
     lum_spectral *s = &e->spectral;
     if (!lum_reader_open(r, "phosphor", &in))
         return;
     if (e->finish != LUM_FINISH_NONE)
         lum_reader_fail(&in, "", "the entry says two things about the same surface; split it in two, the later one wins");
     e->finish = LUM_FINISH_PHOSPHOR;
-    if (!lum_reader_property(&in, "absorption", 0, 1, rgb, &s->excitation) || !s->excitation)
-        lum_reader_fail(&in, "absorption", "needs a spectrum: the share of the light that the phosphor absorbs, by wavelength");
-    if (!lum_reader_light(&in, "emission", &s->converted))
-        lum_reader_fail(&in, "emission", "is missing: the spectrum of the light that the phosphor emits");
-    if (!lum_reader_number(&in, "quantum_yield", 0, 1, &yield))
-        lum_reader_fail(&in, "quantum_yield", "is missing: photons emitted per photon absorbed");
+    read_conversion(&in, 1, "the share of the light that the phosphor absorbs", s);
     lum_reader_number(&in, "forward", 0, 1, &forward);
     lum_recipe_read_layer(&in, e, true);
-    s->quantum_yield = (float)yield;
     s->forward = (float)forward;
-    if (!in.result) {
-        double power = 0, moment = 0;
-        for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
-            power += (double)s->converted->value[i];
-            moment += (double)s->converted->value[i] * (LUM_NM_FIRST + i);
-        }
-        const double mean = moment / power;
-        for (int i = 0; i < LUM_SPECTRUM_COUNT && !in.result; ++i)
-            if (s->excitation->value[i] > 1e-3f && yield * (LUM_NM_FIRST + i) > mean) /* what is below is the tail of a fit */
-                lum_reader_fail(&in, "absorption",
-                                "at %d nm it would emit more energy than it takes: %g photons of %.0f nm on average; end it before %.0f nm",
-                                LUM_NM_FIRST + i, yield, mean, mean / yield);
-    }
+    check_energy(&in, s);
     lum_reader_close(r, &in);
 }

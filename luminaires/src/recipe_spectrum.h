@@ -26,10 +26,13 @@ bool lum_reader_index(lum_reader *r, double *ior, const lum_spectrum **out);
 /* "reflectance" and "transmittance" of a layer that scatters diffusely to both sides.  by_wavelength: as spectra in any case. */
 void lum_recipe_read_layer(lum_reader *in, lum_recipe_entry *e, bool by_wavelength);
 
+/* Puts a spectrum into the recipe, which owns it; NULL after an error. */
+const lum_spectrum *lum_reader_keep(lum_reader *r, const lum_spectrum *s);
+
+/* "phosphor" of a medium, absorbing at most so much, 1/m: whether it is there. */
+bool lum_recipe_read_filling(lum_reader *r, double most, lum_spectral *s);
+
 /* "phosphor". */
 void lum_recipe_read_phosphor(lum_reader *r, lum_recipe_entry *e);
-
-/* The largest value. */
-double lum_spectrum_peak(const lum_spectrum *s);
 
 #endif

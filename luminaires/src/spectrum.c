@@ -366,6 +366,14 @@ void lum_colour_basis(double nm, double basis[3])
     basis[1] = rest > 0 ? rest : 0; /* rounding */
 }
 
+double lum_spectrum_peak(const lum_spectrum *s)
+{
+    double peak = 0;
+    for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i)
+        peak = fmax(peak, (double)s->value[i]);
+    return peak;
+}
+
 void lum_spectrum_of_reflectance(const double rgb[3], lum_spectrum *out)
 {
     const double least = fmin(fmin(rgb[0], rgb[1]), rgb[2]), most = fmax(fmax(rgb[0], rgb[1]), rgb[2]);

@@ -32,7 +32,7 @@ bool lum_model_is_spectral(const lum_model *model)
     for (uint32_t i = 0; i < model->material_count; ++i) {
         const lum_material *m = &model->materials[i];
         const lum_spectral *s = &m->spectral;
-        if (spreads(m) || s->converted || s->reflectance || s->transmittance || s->absorption)
+        if (spreads(m) || s->converted || s->reflectance || s->transmittance || s->absorption || s->scattering)
             return true;
         emission |= s->emission && s->measured;
         metal |= s->eta && s->k;
@@ -127,20 +127,21 @@ static void make_observer_tables(lum_wave_tables *s, const lum_model *model)
         double mean = 0, watts = integral(p->converted, NULL);
         for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i)
             mean += grid_weight(i) * (double)p->converted->value[i] * (LUM_NM_FIRST + i) / watts;
-        const double efficacy = lum_spectrum_efficacy(p->converted);
+        const double efficacy = lum_spectrum_efficacy(p->converted), most = p->fills ? lum_spectrum_peak(p->excitation) : 1;
         for (int i = 0; i < LUM_SPECTRUM_COUNT; ++i) {
             double o[3];
             const double nm = LUM_NM_FIRST + i;
             lum_observer(nm, o);
-            const double gain = (double)p->excitation->value[i] * (double)p->quantum_yield * nm / mean * efficacy / (683 * o[1]);
+            const double taken = most > 0 ? (double)p->excitation->value[i] / most : 0;
+            const double gain = taken * (double)p->quantum_yield * nm / mean * efficacy / (683 * o[1]);
             s->importance.value[i] = (float)fmax((double)s->importance.value[i], gain);
         }
     }
 }
 
-static lmg_result make_phosphor(lum_wave_tables *s, const lum_material *m, lum_wave_material *out, lmg_error *err)
+static lmg_result make_phosphor(lum_wave_tables *s, const lum_material *m, lum_phosphor **out, lmg_error *err)
 {
-    lum_phosphor *p = out->phosphor = calloc(1, sizeof *p);
+    lum_phosphor *p = *out = calloc(1, sizeof *p);
     if (!p)
         return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for spectra");
     p->excitation = m->spectral.excitation;
@@ -159,8 +160,9 @@ static lmg_result make_material(lum_wave_tables *s, const lum_material *m, lum_w
     out->refracts = out->index != NULL;
     out->absorption = from->absorption;
     memcpy(out->rgb_reflectance, m->base_color, sizeof out->rgb_reflectance);
-    if (from->converted) {
-        const lmg_result result = make_phosphor(s, m, out, err);
+    out->scattering = from->scattering;
+    if (from->converted && (!from->fills || lum_material_is_solid(m))) {
+        const lmg_result result = make_phosphor(s, m, from->fills ? &out->filling : &out->phosphor, err);
         if (result)
             return result;
     }
@@ -224,6 +226,7 @@ void lum_wave_tables_destroy(lum_wave_tables *spectral)
     for (uint32_t i = 0; spectral->materials && i < spectral->material_count; ++i) {
         free(spectral->materials[i].emission);
         free(spectral->materials[i].phosphor);
+        free(spectral->materials[i].filling);
     }
     free(spectral->materials);
     free(spectral);
@@ -386,37 +389,53 @@ void lum_waves_scattered(const lum_wave_tables *spectral, int32_t material, bool
     }
 }
 
+/* Coefficients in R,G,B stand for a spectrum. */
+static double coefficient(const lum_wave_tables *spectral, const lum_spectrum *known, const double rgb[3], double nm)
+{
+    if (known)
+        return lum_spectrum_at(known, nm);
+    double sum = 0;
+    for (int c = 0; c < 3; ++c)
+        sum += rgb[c] * lum_spectrum_at(&spectral->basis[c], nm);
+    return sum;
+}
+
+double lum_waves_scattering(const lum_wave_tables *spectral, int32_t material, const lum_medium *medium, double nm)
+{
+    return coefficient(spectral, spectral->materials[material].scattering, medium->scattering, nm);
+}
+
 void lum_waves_absorbed(const lum_wave_tables *spectral, int32_t material, const double absorption[3], double length,
                          const lum_waves *waves, float share[LUM_WAVES])
 {
-    const lum_spectrum *s = spectral->materials[material].absorption;
+    const lum_wave_material *m = &spectral->materials[material];
     for (uint32_t i = 0; i < waves->count; ++i) {
         const double nm = (double)waves->nm[i];
-        double a = 0;
-        if (s) {
-            a = lum_spectrum_at(s, nm);
-        } else {
-            for (int c = 0; c < 3; ++c)
-                a += absorption[c] * lum_spectrum_at(&spectral->basis[c], nm);
-        }
+        double a = coefficient(spectral, m->absorption, absorption, nm);
+        if (m->filling)
+            a += lum_spectrum_at(m->filling->excitation, nm);
         share[i] = (float)exp(-a * length);
     }
 }
 
 bool lum_waves_fly(const lum_wave_tables *spectral, int32_t material, const lum_medium *medium, double length, lum_rng *rng, const lum_waves *waves,
-                    float share[LUM_WAVES], double *t)
+                    float share[LUM_WAVES], double taken[LUM_WAVES], double *t)
 {
-    const lum_spectrum *absorption = spectral->materials[material].absorption;
-    double scattering[LUM_WAVES], extinction[LUM_WAVES], chance[LUM_WAVES], all = 0;
+    const lum_wave_material *m = &spectral->materials[material];
+    double scattering[LUM_WAVES], excitation[LUM_WAVES], extinction[LUM_WAVES], chance[LUM_WAVES], all = 0;
     for (uint32_t i = 0; i < waves->count; ++i) {
-        scattering[i] = extinction[i] = 0;
-        for (int c = 0; c < 3; ++c) {
-            const double b = lum_spectrum_at(&spectral->basis[c], (double)waves->nm[i]);
-            scattering[i] += b * medium->scattering[c];
-            extinction[i] += b * medium->extinction[c];
+        const double nm = (double)waves->nm[i];
+        scattering[i] = coefficient(spectral, m->scattering, medium->scattering, nm);
+        excitation[i] = m->filling ? lum_spectrum_at(m->filling->excitation, nm) : 0;
+        if (m->absorption || m->scattering) {
+            double absorption[3]; /* of the R,G,B coefficients */
+            for (int c = 0; c < 3; ++c)
+                absorption[c] = medium->extinction[c] - medium->scattering[c];
+            extinction[i] = scattering[i] + coefficient(spectral, m->absorption, absorption, nm);
+        } else {
+            extinction[i] = coefficient(spectral, NULL, medium->extinction, nm);
         }
-        if (absorption)
-            extinction[i] = scattering[i] + lum_spectrum_at(absorption, (double)waves->nm[i]);
+        extinction[i] += excitation[i];
         chance[i] = (double)waves->share[i] * (double)waves->importance[i];
         all += chance[i];
     }
@@ -433,6 +452,8 @@ bool lum_waves_fly(const lum_wave_tables *spectral, int32_t material, const lum_
     }
     for (uint32_t i = 0; i < waves->count; ++i)
         share[i] = density > 0 ? (float)(reach[i] * (passes ? 1 : scattering[i]) / density) : 0;
+    for (uint32_t i = 0; taken && i < waves->count; ++i)
+        taken[i] = density > 0 && !passes ? reach[i] * excitation[i] / density : 0;
     return passes;
 }
 

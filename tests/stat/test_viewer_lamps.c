@@ -23,6 +23,7 @@
 #include <cmocka.h>
 
 #include <stdio.h>
+#include <string.h>
 #include <unistd.h>
 
 #define GREEN_LED LUMIBOX_SHARED_DATA "/rayfiles/rayfile_LERTDUW_S2WP_green_100k_20161013_IES_TM25.TM25RAY"
@@ -215,6 +216,28 @@ static void measured_rays_at_1_mm(void **state)
     lum_rayfile_close(file);
 }
 
+/* Geometry filled with phosphor isn't followed, and said so. */
+static void filled_with_phosphor_is_refused(void **state)
+{
+    (void)state;
+    static const char RECIPE[] = "{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"phosphor\":{\"absorption\":{\"gaussian\":[450,30]},"
+                                 "\"emission\":{\"gaussian\":[570,60]},\"quantum_yield\":1}}}]}";
+    lmg_error err = {""};
+    lum_recipe *recipe = NULL;
+    FILE *file = fopen("viewer_lamps.recipe.json", "w");
+    assert_non_null(file);
+    assert_true(fputs(RECIPE, file) >= 0 && fclose(file) == 0);
+    demand(lum_recipe_read("viewer_lamps.recipe.json", &recipe, &err), &err);
+    remove("viewer_lamps.recipe.json");
+    view_scene *scene = nothing();
+    const view_placement origin = {.ry = 0};
+    assert_int_equal(view_scene_add_lamp(scene, LUMIBOX_BINARY_DIR "/models/glass-lens/glass-lens.gltf", recipe, &origin, 0, &err),
+                     LMG_ERROR_UNSUPPORTED);
+    assert_non_null(strstr(err.message, "\"Glass\" is filled with phosphor"));
+    view_scene_destroy(scene);
+    lum_recipe_destroy(recipe);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -223,6 +246,7 @@ int main(void)
         cmocka_unit_test(phosphor),
         cmocka_unit_test(dispersion),
         cmocka_unit_test(measured_rays_at_1_mm),
+        cmocka_unit_test(filled_with_phosphor_is_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -85,6 +85,46 @@ static void media_reach_the_model(void **state)
     free(text);
 }
 
+/* Coefficients by wavelength, and phosphor among them: the model has spectra of its own, R,G,B their values at 610, 550 and 465 nm. */
+static void media_by_wavelength_reach_the_model(void **state)
+{
+    (void)state;
+    char *text = document();
+    lum_recipe *r = recipe("{\"entries\":[{\"match\":\"Glass\",\"medium\":{"
+                           "\"extinction\":{\"nm\":[360,830],\"values\":[940,470]},\"albedo\":[0.5,0.5,0.5],"
+                           "\"phosphor\":{\"absorption\":{\"gaussian\":[450,30],\"height\":800},\"emission\":{\"gaussian\":[570,60]},"
+                           "\"quantum_yield\":0.75}}}]}");
+    lum_model *model = gltf_load("media.gltf", text, r);
+    lum_recipe_destroy(r);
+    const lum_material *m = &model->materials[model->parts[0].material];
+    const lum_spectral *s = &m->spectral;
+    assert_true(s->fills && s->quantum_yield == 0.75f && s->scattering && s->absorption && s->excitation && s->converted);
+    static const double NM[4] = {610, 550, 465, 700};
+    for (int i = 0; i < 4; ++i) {
+        const double half = 0.5 * (940 - (NM[i] - 360));
+        assert_true(fabs(lum_spectrum_at(s->scattering, NM[i]) - half) < 1e-3 && fabs(lum_spectrum_at(s->absorption, NM[i]) - half) < 1e-3);
+        if (i < 3)
+            assert_true(fabs((double)m->scattering[i] - half) < 1e-3 && fabs((double)m->absorption[i] - half) < 1e-3);
+    }
+    assert_true(fabs(lum_spectrum_at(s->excitation, 450) - 800) < 1e-3 && lum_spectrum_at(s->excitation, 465) < 500);
+    lum_model_destroy(model);
+
+    /* Phosphor alone is a medium; a later entry without it takes it out again. */
+    static const char PHOSPHOR[] = "{\"match\":\"Glass\",\"medium\":{\"phosphor\":{\"absorption\":{\"gaussian\":[450,30],\"height\":800},"
+                                   "\"emission\":{\"gaussian\":[570,60]},\"quantum_yield\":1}}}";
+    for (int later = 0; later < 2; ++later) {
+        char json[600];
+        snprintf(json, sizeof(json), "{\"entries\":[%s%s]}", PHOSPHOR, later ? ",{\"match\":\"Glass\",\"medium\":{\"scattering\":3}}" : "");
+        r = recipe(json);
+        model = gltf_load("media.gltf", text, r);
+        lum_recipe_destroy(r);
+        m = &model->materials[model->parts[0].material];
+        assert_true(m->spectral.fills == !later && (m->spectral.converted != NULL) == !later && m->scattering[0] == (later ? 3.0f : 0.0f));
+        lum_model_destroy(model);
+    }
+    free(text);
+}
+
 static void bad_media_are_refused_by_the_reader(void **state)
 {
     (void)state;
@@ -101,6 +141,21 @@ static void bad_media_are_refused_by_the_reader(void **state)
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":0}}]}", "scatters nothing"},
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":1,\"anisotropy\":1}}]}", "anisotropy: 1 is outside"},
         {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":1,\"g\":0.5}}]}", "unknown key \"g\""},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":{\"nm\":[400,700],\"values\":[1,-1]}}}]}",
+         "medium.scattering: -1 at 700 nm is outside [0, 1e+09]"},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"extinction\":1,\"albedo\":{\"nm\":[400,700],\"values\":[1,1.5]}}}]}",
+         "medium.albedo: 1.5 at 700 nm is outside [0, 1]"},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"scattering\":{\"nm\":[500,600],\"values\":[1,1]}}}]}", "covers 500 to 600 nm only"},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"phosphor\":{\"absorption\":5,\"emission\":\"E\",\"quantum_yield\":1}}}]}",
+         "medium.phosphor.absorption: needs a spectrum"},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"phosphor\":{\"absorption\":{\"gaussian\":[450,30]},\"quantum_yield\":1}}}]}",
+         "medium.phosphor.emission: is missing"},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"phosphor\":{\"absorption\":{\"gaussian\":[450,30]},\"emission\":{\"gaussian\":[570,60]},"
+         "\"quantum_yield\":1.5}}}]}",
+         "quantum_yield: 1.5 is outside [0, 1]"},
+        {"{\"entries\":[{\"match\":\"Glass\",\"medium\":{\"phosphor\":{\"absorption\":{\"gaussian\":[650,30]},\"emission\":{\"gaussian\":[570,60]},"
+         "\"quantum_yield\":1}}}]}",
+         "more energy than it takes"},
         {"{\"volumes\":{}}", "volumes: must be an array"},
         {"{\"volumes\":[1]}", "volumes[0]: must be an object"},
         {"{\"volumes\":[{\"scattering\":1}]}", "give \"vdb\""},
@@ -192,6 +247,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(media_reach_the_model),
+        cmocka_unit_test(media_by_wavelength_reach_the_model),
         cmocka_unit_test(bad_media_are_refused_by_the_reader),
         cmocka_unit_test(bad_media_are_refused_at_load),
     };

@@ -154,18 +154,23 @@ bool lum_spectrum_of_metal(const char *name, lum_spectrum *eta, lum_spectrum *k)
 
 /* ------------------------------------------------------------------------------------------------------- of a material */
 
+/* The largest value. */
+double lum_spectrum_peak(const lum_spectrum *s);
+
 /* What a material is by wavelength, where that is known better than by R,G,B; NULL = not.  The model owns what they point to. */
 typedef struct lum_spectral {
     const lum_spectrum *emission;      /* relative power of what lum_material.emissive gives in cd/m2 */
     bool measured;                     /* that is a spectrum of its own, not the one that goes with a colour temperature */
     const lum_spectrum *index;         /* refractive index; lum_material.ior is its value at the d line */
-    const lum_spectrum *absorption;    /* 1/m inside a solid */
+    const lum_spectrum *absorption;    /* 1/m inside a solid; of "medium" too */
+    const lum_spectrum *scattering;    /* 1/m inside a solid ("medium") */
     const lum_spectrum *reflectance;   /* of "diffuse", "diffuse_transmission", "phosphor" and "mirror" */
     const lum_spectrum *transmittance; /* of "diffuse_transmission", "phosphor" */
     const lum_spectrum *eta, *k;       /* of "conductor" */
     const lum_spectrum *excitation;    /* "phosphor": share of the light that meets it that is absorbed by the phosphor */
     const lum_spectrum *converted;     /* "phosphor": relative power of its emission */
     float quantum_yield, forward;      /* "phosphor": photons emitted per photon absorbed; share of them emitted to the far side */
+    bool fills;                        /* the phosphor isn't a layer, its particles fill the solid: excitation is in 1/m, beside the absorption */
 } lum_spectral;
 
 #ifdef __cplusplus

@@ -36,7 +36,7 @@ typedef struct lum_wave_light {
     double mean_nm;                                /* of the power */
 } lum_wave_light;
 
-/* A thin layer that converts light: see lum_spectral. */
+/* What converts light, a thin layer or particles in a medium: see lum_spectral. */
 typedef struct lum_phosphor {
     const lum_spectrum *excitation;
     lum_wave_light light;
@@ -56,12 +56,13 @@ typedef enum lum_tint {
 typedef struct lum_wave_material {
     lum_tint tint;
     bool refracts; /* boundary of a solid whose index depends on the wavelength */
-    const lum_spectrum *index, *absorption;
+    const lum_spectrum *index, *absorption, *scattering;
     lum_spectrum reflectance, transmittance; /* as the tint needs them; of the diffuse ones, over the chance of either side */
     float rgb_reflectance[3];                /* what R,G,B scattering takes for it */
     int brightest;                           /* of these, for mirrors */
     lum_wave_light *emission;                    /* NULL: its R,G,B */
-    lum_phosphor *phosphor;                 /* NULL: none */
+    lum_phosphor *phosphor;                 /* a layer; NULL: none */
+    lum_phosphor *filling;                  /* of a solid; NULL: none */
 } lum_wave_material;
 
 typedef struct lum_wave_tables {
@@ -116,17 +117,21 @@ void lum_waves_rgb(const lum_wave_tables *spectral, const lum_waves *waves, doub
 void lum_waves_scattered(const lum_wave_tables *spectral, int32_t material, bool reflected, const float rgb[3], const lum_waves *waves,
                           float share[LUM_WAVES]);
 
-/* What the inside of a solid leaves along a length, metres; absorption in R,G,B where it has no spectrum. */
+/* Scattering coefficient inside a solid, 1/m. */
+double lum_waves_scattering(const lum_wave_tables *spectral, int32_t material, const lum_medium *medium, double nm);
+
+/* What the inside of a solid leaves along a length, metres, of light that isn't scattered; absorption in R,G,B where it has no spectrum. */
 void lum_waves_absorbed(const lum_wave_tables *spectral, int32_t material, const double absorption[3], double length,
                          const lum_waves *waves, float share[LUM_WAVES]);
 
 /*
- * A flight of the waves through a homogeneous medium inside a solid, whose coefficients in R,G,B stand for spectra: passes `length` or ends in a
- * collision at *t.  Distances are drawn for the mixture of the waves, in proportion to importance; share: what that leaves of each
- * wave, on average over the flights exactly the medium's (the balance heuristic, as lum_medium_fly has it).  Returns whether it passed.
+ * A flight of the waves through a homogeneous medium inside a solid (spectra, where it has them, or coefficients in R,G,B that stand for spectra): passes
+ * `length` or ends in a collision at *t.  Distances are drawn for the mixture of the waves, in proportion to importance; share: what
+ * that leaves of each wave, on average over the flights exactly the medium's (the balance heuristic [miller2019null], as lum_medium_fly
+ * has it); taken: what the phosphor of a filled solid takes of it, NULL = not asked for.  Returns whether it passed.
  */
 bool lum_waves_fly(const lum_wave_tables *spectral, int32_t material, const lum_medium *medium, double length, lum_rng *rng, const lum_waves *waves,
-                    float share[LUM_WAVES], double *t);
+                    float share[LUM_WAVES], double taken[LUM_WAVES], double *t);
 
 /* For flights that are drawn in R,G,B (lum_volumes_fly): the waves' importance as shares of the three colours, adding up to 1; and
  * what the flight's factors leave of each wave. */
