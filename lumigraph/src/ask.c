@@ -10,8 +10,9 @@
 /* --------------------------------------------------------------------------------------------------------- radiance */
 
 /* Multilinear between the centres of the cells around; beyond the outermost centres it stays constant. */
-static void linear(const lmg_field *field, int j, const double uvst[4], float rgb[3], float *standard_error)
+static void linear(const lmg_field *field, int j, double u, double v, double s, double t, float rgb[3], float *standard_error)
 {
+    const double uvst[4] = {u, v, s, t};
     const lmg_slab *slab = &field->layout.slabs[j];
     const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, *scale = field->sampler->plan.scale[j];
     const uint32_t n[4] = {slab->nu, slab->nv, slab->ns, slab->nt};
@@ -47,7 +48,7 @@ static void linear(const lmg_field *field, int j, const double uvst[4], float rg
         *standard_error = (float)sqrt(variance);
 }
 
-void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction, lmg_filter filter, float rgb[3],
+LMG_WIDE void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction, lmg_filter filter, float rgb[3],
                         float *standard_error)
 {
     double uvst[4];
@@ -55,17 +56,18 @@ void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direct
     if (standard_error)
         *standard_error = 0;
     const lmg_plan *plan = &field->sampler->plan;
-    int j = lmg_plan_owner(plan, origin, direction, uvst);
+    lmg_line line;
+    const int j = lmg_plan_owner_line(plan, origin, direction, uvst, &line);
     if (j < 0)
         return;
-    const lmg_slab *slab = &field->layout.slabs[j];
     /* the cell is asked for before it's known to be needed: the access to memory is what takes time */
     const lmg_place place = lmg_plan_place(plan, j, uvst);
     lmg_place_prefetch(field, (uint32_t)j, &place);
-    if (!lmg_downstream(&field->layout, origin, direction, v_dot(v_sub(origin, slab->o), slab->n)))
+    /* a line that crosses its plane within the bounds is downstream past the crossing, wherever it leaves them */
+    if (field->sampler->etendue[j].inside ? !(line.past >= 0) : !lmg_downstream(&field->layout, origin, direction, line.past))
         return;
     if (filter == LMG_LINEAR) {
-        linear(field, j, uvst, rgb, standard_error);
+        linear(field, j, uvst[0], uvst[1], uvst[2], uvst[3], rgb, standard_error);
         return;
     }
     lmg_place_rgb(field, (uint32_t)j, &place, rgb);

@@ -48,9 +48,11 @@ void lmg_plan_prepare(lmg_plan *plan, const lmg_layout *layout)
         plan->scale[j][2] = slab->ns / (slab->s1 - slab->s0);
         plan->scale[j][3] = slab->nt / (slab->t1 - slab->t0);
         const double low[4] = {slab->u0, slab->v0, slab->s0, slab->t0};
+        const double end[4] = {slab->u1, slab->v1, lmg_st_end(slab, slab->s1), lmg_st_end(slab, slab->t1)};
         const uint32_t n[4] = {slab->nu, slab->nv, slab->ns, slab->nt};
         for (int k = 0; k < 4; k++) {
             plan->low[j][k] = low[k];
+            plan->end[j][k] = end[k];
             plan->last[j][k] = (int32_t)n[k] - 1;
         }
         plan->first[j + 1] = plan->first[j] + lmg_slab_cells(slab);

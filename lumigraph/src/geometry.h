@@ -40,13 +40,16 @@ static inline double lmg_octant_angle(double m, double l)
     return upper ? 1 + angle : angle;
 }
 
-/* Concentric map between disc and square [Shirley and Chiu 1997]; the square's horizontal and vertical wedges are those of |s| >= |t| and the rest. */
-static inline void lmg_disc_to_square(double x, double y, double *s, double *t)
+/*
+ * Concentric map between disc and square [Shirley and Chiu 1997] of the point (x,y)/sqrt(length2); the square's horizontal and vertical wedges are
+ * those of |s| >= |t| and the rest.  The angle doesn't wait for the radius: a look-up takes as long as its longest chain of operations.
+ */
+static inline void lmg_cone_to_square(double x, double y, double length2, double *s, double *t)
 {
     double ax = fabs(x), ay = fabs(y);
     bool horizontal = ax >= ay;
-    /* Rounding: the components of a unit vector square to 1 + 4 eps at most. */
-    double r = d_min(sqrt(x * x + y * y), 1), other = r * lmg_octant_angle(horizontal ? ay : ax, horizontal ? ax : ay);
+    /* Rounding: the ratio is 1 + 4 eps at most. */
+    double r = d_min(sqrt((x * x + y * y) / length2), 1), other = r * lmg_octant_angle(horizontal ? ay : ax, horizontal ? ax : ay);
     *s = copysign(horizontal ? r : other, x);
     *t = copysign(horizontal ? other : r, y);
 }
@@ -70,45 +73,64 @@ static inline void lmg_square_to_disc(double s, double t, double *x, double *y, 
     *z = z2 > 0 ? sqrt(z2) : 0;
 }
 
-/* Crossing of a ray's line with the (u,v) plane; dn = d . n, not zero. */
-static inline void lmg_slab_crossing(const lmg_slab *slab, lmg_vec3 origin, lmg_vec3 d, double dn, double *u, double *v)
+/* A ray's line in a slab's frame: direction along the axes and the normal, and origin past the plane. */
+typedef struct lmg_line {
+    double da, db, dn, past;
+} lmg_line;
+
+/* Crossing of the line with the (u,v) plane; line->dn = d . n, not zero, is known. */
+static inline void lmg_line_crossing(const lmg_slab *slab, lmg_vec3 origin, lmg_vec3 d, lmg_line *line, double *u, double *v)
 {
     lmg_vec3 w = v_sub(origin, slab->o);
-    double k = -v_dot(w, slab->n) / dn;
-    *u = v_dot(w, slab->a) + k * v_dot(d, slab->a);
-    *v = v_dot(w, slab->b) + k * v_dot(d, slab->b);
+    line->past = v_dot(w, slab->n);
+    line->da = v_dot(d, slab->a);
+    line->db = v_dot(d, slab->b);
+    double k = -line->past / line->dn;
+    *u = v_dot(w, slab->a) + k * line->da;
+    *v = v_dot(w, slab->b) + k * line->db;
+}
+
+static inline void lmg_slab_crossing(const lmg_slab *slab, lmg_vec3 origin, lmg_vec3 d, double dn, double *u, double *v)
+{
+    lmg_line line = {.dn = dn};
+    lmg_line_crossing(slab, origin, d, &line, u, v);
 }
 
 /* (s,t) of direction d in the frame of an aperture slab, */
-static inline void lmg_aperture_st(const lmg_slab *slab, lmg_vec3 d, double *s, double *t)
+static inline void lmg_line_aperture_st(lmg_vec3 d, const lmg_line *line, double *s, double *t)
 {
-    double inv = 1 / sqrt(v_dot(d, d));
-    lmg_disc_to_square(v_dot(d, slab->a) * inv, v_dot(d, slab->b) * inv, s, t);
+    lmg_cone_to_square(line->da, line->db, v_dot(d, d), s, t);
 }
 
 /* of a cube slab without second plane: slopes; with one, of the line through (u,v). */
-static inline void lmg_slope_st(const lmg_slab *slab, lmg_vec3 d, double dn, double *s, double *t)
+static inline void lmg_line_slope_st(const lmg_line *line, double *s, double *t)
 {
-    *s = v_dot(d, slab->a) / dn;
-    *t = v_dot(d, slab->b) / dn;
+    *s = line->da / line->dn;
+    *t = line->db / line->dn;
 }
 
-static inline void lmg_plane_st(const lmg_slab *slab, lmg_vec3 d, double dn, double u, double v, double *s, double *t)
+static inline void lmg_line_plane_st(const lmg_slab *slab, const lmg_line *line, double u, double v, double *s, double *t)
 {
-    lmg_slope_st(slab, d, dn, s, t);
+    lmg_line_slope_st(line, s, t);
     *s = u + slab->distance * *s;
     *t = v + slab->distance * *t;
 }
 
 /* (s,t) of a line through (u,v) with direction d. */
-static inline void lmg_slab_st(const lmg_slab *slab, lmg_vec3 d, double dn, double u, double v, double *s, double *t)
+static inline void lmg_line_st(const lmg_slab *slab, lmg_vec3 d, const lmg_line *line, double u, double v, double *s, double *t)
 {
     if (slab->kind == LMG_SLAB_APERTURE)
-        lmg_aperture_st(slab, d, s, t);
+        lmg_line_aperture_st(d, line, s, t);
     else if (isinf(slab->distance))
-        lmg_slope_st(slab, d, dn, s, t);
+        lmg_line_slope_st(line, s, t);
     else
-        lmg_plane_st(slab, d, dn, u, v, s, t);
+        lmg_line_plane_st(slab, line, u, v, s, t);
+}
+
+static inline void lmg_slab_st(const lmg_slab *slab, lmg_vec3 d, double dn, double u, double v, double *s, double *t)
+{
+    const lmg_line line = {.da = v_dot(d, slab->a), .db = v_dot(d, slab->b), .dn = dn};
+    lmg_line_st(slab, d, &line, u, v, s, t);
 }
 
 /* Where the range of an (s,t) coordinate ends, exclusive: the end of the coordinate's domain (1 for slopes and squares) is included, as
@@ -152,6 +174,7 @@ typedef struct lmg_plan {
     uint8_t classes[LMG_MAX_SLABS]; /* bit c: directions of class c may be the slab's */
     double scale[LMG_MAX_SLABS][4]; /* cells per unit of u,v,s,t */
     double low[LMG_MAX_SLABS][4];   /* where they begin */
+    double end[LMG_MAX_SLABS][4];   /* where they end, exclusive: lmg_st_end for (s,t) */
     int32_t last[LMG_MAX_SLABS][4]; /* number of the last cell */
     uint64_t first[LMG_MAX_SLABS + 1]; /* cells in the slabs before */
 } lmg_plan;
@@ -159,39 +182,50 @@ typedef struct lmg_plan {
 /* layout is kept (borrowed). */
 void lmg_plan_prepare(lmg_plan *plan, const lmg_layout *layout);
 
-/* The slab that owns a ray, or -1, with the ray's coordinates in it.  Inlined everywhere: passing the ray's six numbers costs as much. */
+/* The slab that owns a ray, or -1, with the ray's coordinates in it and its line in the slab's frame.  Inlined everywhere: passing the ray's six
+ * numbers costs as much. */
+#if defined(__GNUC__)
+__attribute__((always_inline))
+#endif
+static inline int lmg_plan_owner_line(const lmg_plan *plan, lmg_vec3 origin, lmg_vec3 d, double uvst[4], lmg_line *line)
+{
+    const int c = lmg_direction_class(d);
+    uvst[0] = uvst[1] = uvst[2] = uvst[3] = 0;
+    *line = (lmg_line){0};
+    if (c < 0)
+        return -1;
+    int frame = -1;
+    bool have_st = false;
+    for (uint32_t k = 0; k < plan->count[c]; k++) {
+        const int j = plan->list[c][k];
+        const lmg_slab *slab = &plan->layout->slabs[j];
+        const double *low = plan->low[j], *end = plan->end[j];
+        if (plan->frame[j] != frame) {
+            frame = plan->frame[j];
+            have_st = false;
+            line->dn = v_dot(d, slab->n);
+            if (line->dn > 0)
+                lmg_line_crossing(slab, origin, d, line, &uvst[0], &uvst[1]);
+        }
+        if (!(line->dn > 0) || !((uvst[0] >= low[0]) & (uvst[0] < end[0]) & (uvst[1] >= low[1]) & (uvst[1] < end[1])))
+            continue;
+        if (!have_st) {
+            lmg_line_st(slab, d, line, uvst[0], uvst[1], &uvst[2], &uvst[3]);
+            have_st = true;
+        }
+        if ((uvst[2] >= low[2]) & (uvst[2] < end[2]) & (uvst[3] >= low[3]) & (uvst[3] < end[3]))
+            return j;
+    }
+    return -1;
+}
+
 #if defined(__GNUC__)
 __attribute__((always_inline))
 #endif
 static inline int lmg_plan_owner(const lmg_plan *plan, lmg_vec3 origin, lmg_vec3 d, double uvst[4])
 {
-    int c = lmg_direction_class(d);
-    uvst[0] = uvst[1] = uvst[2] = uvst[3] = 0;
-    if (c < 0)
-        return -1;
-    int frame = -1;
-    bool in_half = false, have_st = false;
-    for (uint32_t k = 0; k < plan->count[c]; k++) {
-        int j = plan->list[c][k];
-        const lmg_slab *slab = &plan->layout->slabs[j];
-        if (plan->frame[j] != frame) {
-            frame = plan->frame[j];
-            have_st = false;
-            double dn = v_dot(d, slab->n);
-            in_half = dn > 0;
-            if (in_half)
-                lmg_slab_crossing(slab, origin, d, dn, &uvst[0], &uvst[1]);
-        }
-        if (!in_half || !(uvst[0] >= slab->u0 && uvst[0] < slab->u1 && uvst[1] >= slab->v0 && uvst[1] < slab->v1))
-            continue;
-        if (!have_st) {
-            lmg_slab_st(slab, d, v_dot(d, slab->n), uvst[0], uvst[1], &uvst[2], &uvst[3]);
-            have_st = true;
-        }
-        if (lmg_in_st(slab, uvst[2], slab->s0, slab->s1) && lmg_in_st(slab, uvst[3], slab->t0, slab->t1))
-            return j;
-    }
-    return -1;
+    lmg_line line;
+    return lmg_plan_owner_line(plan, origin, d, uvst, &line);
 }
 
 /* Cell number within its slab of coordinates in slab j. */

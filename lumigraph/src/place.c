@@ -11,14 +11,14 @@ typedef struct coordinates {
 } coordinates;
 
 /* Of ray i in a slab's frame. */
-static inline double crossing(const lmg_slab *slab, const lmg_ray_columns *rays, size_t i, lmg_vec3 *d, double *u, double *v)
+static inline lmg_line crossing(const lmg_slab *slab, const lmg_ray_columns *rays, size_t i, lmg_vec3 *d, double *u, double *v)
 {
     const lmg_vec3 o = {rays->origin[0][i], rays->origin[1][i], rays->origin[2][i]};
     *d = (lmg_vec3){rays->direction[0][i], rays->direction[1][i], rays->direction[2][i]};
-    const double dn = v_dot(*d, slab->n);
-    lmg_slab_crossing(slab, o, *d, dn, u, v);
-    *u = dn > 0 ? *u : (double)NAN;
-    return dn;
+    lmg_line line = {.dn = v_dot(*d, slab->n)};
+    lmg_line_crossing(slab, o, *d, &line, u, v);
+    *u = line.dn > 0 ? *u : (double)NAN;
+    return line;
 }
 
 LMG_WIDE static void aperture_coordinates(const lmg_slab *restrict of, size_t count, const lmg_ray_columns *restrict rays,
@@ -28,8 +28,8 @@ LMG_WIDE static void aperture_coordinates(const lmg_slab *restrict of, size_t co
     for (size_t i = 0; i < count; i++) {
         lmg_vec3 d;
         double u, v, s, t;
-        crossing(&slab, rays, i, &d, &u, &v);
-        lmg_aperture_st(&slab, d, &s, &t);
+        const lmg_line line = crossing(&slab, rays, i, &d, &u, &v);
+        lmg_line_aperture_st(d, &line, &s, &t);
         out->uvst[0][i] = u;
         out->uvst[1][i] = v;
         out->uvst[2][i] = s;
@@ -43,8 +43,9 @@ LMG_WIDE static void slope_coordinates(const lmg_slab *restrict of, size_t count
     const lmg_slab slab = *of;
     for (size_t i = 0; i < count; i++) {
         lmg_vec3 d;
-        double u, v, s, t, dn = crossing(&slab, rays, i, &d, &u, &v);
-        lmg_slope_st(&slab, d, dn, &s, &t);
+        double u, v, s, t;
+        const lmg_line line = crossing(&slab, rays, i, &d, &u, &v);
+        lmg_line_slope_st(&line, &s, &t);
         out->uvst[0][i] = u;
         out->uvst[1][i] = v;
         out->uvst[2][i] = s;
@@ -58,8 +59,9 @@ LMG_WIDE static void plane_coordinates(const lmg_slab *restrict of, size_t count
     const lmg_slab slab = *of;
     for (size_t i = 0; i < count; i++) {
         lmg_vec3 d;
-        double u, v, s, t, dn = crossing(&slab, rays, i, &d, &u, &v);
-        lmg_plane_st(&slab, d, dn, u, v, &s, &t);
+        double u, v, s, t;
+        const lmg_line line = crossing(&slab, rays, i, &d, &u, &v);
+        lmg_line_plane_st(&slab, &line, u, v, &s, &t);
         out->uvst[0][i] = u;
         out->uvst[1][i] = v;
         out->uvst[2][i] = s;

@@ -15,13 +15,17 @@
  * bins follow the beam; tables include the light of all slabs of the group that lie in their rectangle.
  */
 enum { LMG_LEVELS = 5, LMG_BINS = 16, LMG_PICTURE = 256 + 64 + 16 + 4 + 1, LMG_PARENTS = 1 + 4 + 16 + 64 };
+/* First block of a level, among parents; and first bin of a mip within a picture. */
+static const uint32_t LMG_LEVEL_START[LMG_LEVELS] = {0, 1, 5, 21, 85};
+static const int32_t LMG_MIP_START[LMG_LEVELS] = {0, 256, 320, 336, 340};
 
 typedef struct lmg_brightness {
     double x0, x1, y0, y1; /* rectangle of directions */
+    float low[2], high[2];  /* the same */
     float x_scale, y_scale; /* bins per unit */
     float finest, inv_finest; /* width of the narrower finest bins */
-    uint16_t root[LMG_PICTURE]; /* luminance as the upper half of a float */
-    uint16_t *children; /* for each block of levels 0 to 3, each bin: the values of its four children side by side */
+    uint16_t *children; /* for each block of levels 0 to 3, each bin: the luminance of its four children side by side, each as the upper half
+                           of a float; one bin more at the end */
 } lmg_brightness;
 
 typedef struct lmg_group {
@@ -90,7 +94,7 @@ static inline void lmg_place_rgb(const lmg_field *field, uint32_t j, const lmg_p
 lmg_result lmg_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, bool everywhere, double rgb[3], double *standard_error,
                            lmg_error *err);
 
-/* seen.c */
+/* brightness.c */
 lmg_result lmg_groups_create(const lmg_field *field, lmg_sampler *sampler, lmg_error *err);
 void lmg_groups_destroy(lmg_sampler *sampler);
 size_t lmg_groups_memory(const lmg_sampler *sampler);

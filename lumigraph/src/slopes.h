@@ -49,34 +49,29 @@ static inline lmg_stencil lmg_stencil_of(bool before2, bool before, bool after, 
 /* Where a ray is within the slab that owns it. */
 typedef struct lmg_place {
     uint64_t cell;
-    uint32_t st;   /* it * ns + is */
-    float x[4];    /* from -1 to 1 across the cell in u, v, s, t */
+    uint32_t st;  /* it * ns + is */
+    lmg_float4 x; /* from -1 to 1 across the cell in u, v, s, t */
 } lmg_place;
 
-/* Cell of a coordinate, as lmg_cell_of gives it, and where it is within.  In signed numbers, which convert faster. */
-static inline int32_t lmg_place_along(double x, double low, double scale, int32_t last, float *within)
-{
-    double f = (x - low) * scale;
-    int32_t i = (int32_t)f;
-    i = i < last ? i : last;
-    *within = (float)(2 * (f - (double)i) - 1);
-    return i;
-}
-
 /*
- * Coordinate by coordinate on purpose: read as a vector, uvst, just stored number by number, would have to wait in the processor until the
- * stores are done with, and with them the look-up before and its access to memory.
+ * The cells of the coordinates, as lmg_cell_of gives them, and where they are within.  uvst has to be numbers that the compiler knows, not
+ * memory: read as a vector, what was stored number by number would have to wait in the processor until the stores are done with, and
+ * with them the look-up before and its access to memory.
  */
 static inline lmg_place lmg_plan_place(const lmg_plan *plan, int j, const double uvst[4])
 {
     const lmg_slab *slab = &plan->layout->slabs[j];
-    const double *low = plan->low[j], *scale = plan->scale[j];
-    const int32_t *last = plan->last[j];
-    lmg_place p;
-    int32_t iu = lmg_place_along(uvst[0], low[0], scale[0], last[0], &p.x[0]), iv = lmg_place_along(uvst[1], low[1], scale[1], last[1], &p.x[1]);
-    int32_t is = lmg_place_along(uvst[2], low[2], scale[2], last[2], &p.x[2]), it = lmg_place_along(uvst[3], low[3], scale[3], last[3], &p.x[3]);
-    p.st = (uint32_t)it * slab->ns + (uint32_t)is;
-    p.cell = ((uint64_t)iv * slab->nu + (uint64_t)iu) * ((uint64_t)slab->ns * slab->nt) + p.st;
+    lmg_double4 at = {uvst[0], uvst[1], uvst[2], uvst[3]}, low, scale;
+    lmg_int4 last;
+    memcpy(&low, plan->low[j], sizeof low);
+    memcpy(&scale, plan->scale[j], sizeof scale);
+    memcpy(&last, plan->last[j], sizeof last);
+    at = (at - low) * scale;
+    lmg_int4 i = __builtin_convertvector(at, lmg_int4), beyond = i > last;
+    i = (beyond & last) | (~beyond & i);
+    lmg_place p = {.x = __builtin_convertvector(2 * (at - __builtin_convertvector(i, lmg_double4)) - 1, lmg_float4)};
+    p.st = (uint32_t)i[3] * slab->ns + (uint32_t)i[2];
+    p.cell = ((uint64_t)i[1] * slab->nu + (uint64_t)i[0]) * ((uint64_t)slab->ns * slab->nt) + p.st;
     return p;
 }
 
@@ -84,25 +79,14 @@ static inline lmg_place lmg_plan_place(const lmg_plan *plan, int j, const double
 static inline float lmg_shape(const lmg_slopes *slopes, const int8_t g[4], const lmg_place *p)
 {
     static const float UNIT = 1.0F / 127;
-    float x[4] = {p->x[0], p->x[1], p->x[2], p->x[3]};
-    if (slopes->centroid) {
-        x[2] -= slopes->centroid[p->st][0];
-        x[3] -= slopes->centroid[p->st][1];
-    }
-#if defined(__GNUC__) && defined(__has_builtin)
-#if __has_builtin(__builtin_convertvector)
-    /* the four products side by side; the same numbers, in fewer instructions than fit between two accesses to memory */
     typedef int8_t bytes __attribute__((vector_size(4)));
-    typedef float floats __attribute__((vector_size(16)));
     bytes b;
-    floats f;
     memcpy(&b, g, sizeof b);
-    memcpy(&f, x, sizeof f);
-    f *= __builtin_convertvector(b, floats);
+    lmg_float4 f = p->x;
+    if (slopes->centroid)
+        f -= (lmg_float4){0, 0, slopes->centroid[p->st][0], slopes->centroid[p->st][1]};
+    f *= __builtin_convertvector(b, lmg_float4);
     return (1 + UNIT * (f[0] + f[1])) * (1 + UNIT * (f[2] + f[3]));
-#endif
-#endif
-    return (1 + UNIT * ((float)g[0] * x[0] + (float)g[1] * x[1])) * (1 + UNIT * ((float)g[2] * x[2] + (float)g[3] * x[3]));
 }
 
 #endif

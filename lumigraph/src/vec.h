@@ -20,6 +20,11 @@
 #define LMG_WIDE
 #endif
 
+/* Four numbers at once, by the vectors of GCC and Clang: arithmetic is number by number, a[k] is one of them. */
+typedef float lmg_float4 __attribute__((vector_size(16)));
+typedef int32_t lmg_int4 __attribute__((vector_size(16)));
+typedef double lmg_double4 __attribute__((vector_size(32)));
+
 static inline double v_dot(lmg_vec3 a, lmg_vec3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;
