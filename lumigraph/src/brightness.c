@@ -162,8 +162,8 @@ static void finish(lmg_brightness *table, float (*level_pictures)[LMG_PICTURE])
     }
 }
 
-/* One bin more than there are: a reader between the middles of bins may look, with weight 0, past the last one. */
-static const size_t TABLE_BYTES = ((size_t)LMG_PARENTS * LMG_PICTURE + 1) * 4 * sizeof(uint16_t);
+/* Two bins more than there are: a reader between the middles of bins may look, with weight 0, past the last one, to the right and above. */
+static const size_t TABLE_BYTES = ((size_t)LMG_PARENTS * LMG_PICTURE + 2) * 4 * sizeof(uint16_t);
 
 size_t lmg_groups_memory(const lmg_sampler *sampler)
 {

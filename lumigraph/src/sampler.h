@@ -25,7 +25,7 @@ typedef struct lmg_brightness {
     float x_scale, y_scale; /* bins per unit */
     float finest, inv_finest; /* width of the narrower finest bins */
     uint16_t *children; /* for each block of levels 0 to 3, each bin: the luminance of its four children side by side, each as the upper half
-                           of a float; one bin more at the end */
+                           of a float; two bins more at the end */
 } lmg_brightness;
 
 typedef struct lmg_group {
