@@ -90,7 +90,7 @@ typedef struct waiting_path {
  * The memory that a hit needs is on its way meanwhile, and code and branches stay warm; a path's result doesn't depend on its
  * company.
  */
-enum { WAVE = 32 };
+enum { WAVE = 64 };
 
 #if KERNEL_FEATURES & TRACER_TOUCHING
 /* The boundaries of solids that lie on each other where a path is, each crossed by what goes through there; count 0: it met one
@@ -957,13 +957,35 @@ static inline bool leave(const tracer *t, worker *w, uint32_t k)
     return true;
 }
 
-/* What happens to path i of the wave along its segment and at its end, up to scattering: whether it goes on, unless it is kept among
- * w->met, from where leave decides. */
-static inline bool arrive(const tracer *t, worker *w, uint32_t i)
+/* What happens to path i of the wave along its segment to a surface and there, up to scattering: whether it goes on, unless it is
+ * kept among w->met, from where leave decides. */
+static inline bool arrive(const tracer *t, worker *w, uint32_t i, uint32_t photons)
+{
+    const lum_hit *hit = &w->hit[i];
+    ++w->path[i].segments;
+    lum_encounter *e = &w->met[w->met_count];
+    lum_surface_at(t->scene, hit, w->direction[i], &e->surface);
+#if KERNEL_FEATURES & TRACER_SURVEY
+    note_effects(&w->path[i], w->survey->effects[material_of(t, e)] & ~BAKE_EMISSION_BITS);
+#endif
+#if (KERNEL_FEATURES & TRACER_SOLIDS) && !(KERNEL_FEATURES & TRACER_MEDIA)
+    if (!notice_birth_inside(t, &w->path[i], material_of(t, e), e->surface.front)) {
+        w->counts.lost += units_of(&w->path[i]);
+        return false;
+    }
+#endif
+    if (!HAS(TRACER_MEDIA))
+        photons = fly(t, w, i, hit->t);
+    return photons > 0 && meet(t, w, i, photons);
+}
+
+#if KERNEL_FEATURES & (TRACER_MEDIA | TRACER_TOUCHING)
+/* The same on the way through media, which may scatter light before it gets to a surface or out, and to surfaces that lie on each
+ * other. */
+static inline bool arrive_through(const tracer *t, worker *w, uint32_t i)
 {
     const lum_hit *hit = &w->hit[i];
     uint32_t photons = 1;
-    ++w->counts.segments;
     bool alone = true;
 #if KERNEL_FEATURES & TRACER_TOUCHING
     lum_hit layers[LUM_MAX_HERE];
@@ -1000,38 +1022,43 @@ static inline bool arrive(const tracer *t, worker *w, uint32_t i)
             escape(t, w, i);
         return false;
     }
-    ++w->path[i].segments;
+    if (alone)
+        return arrive(t, w, i, photons);
 #if KERNEL_FEATURES & TRACER_TOUCHING
-    if (!alone) {
-        if (!HAS(TRACER_MEDIA))
-            photons = fly(t, w, i, hit->t);
-        return photons > 0 && meet_layers(t, w, i, photons, layers, layer_count);
-    }
-#else
-    (void)alone;
-#endif
-    lum_encounter *e = &w->met[w->met_count];
-    lum_surface_at(t->scene, hit, w->direction[i], &e->surface);
-#if KERNEL_FEATURES & TRACER_SURVEY
-    note_effects(&w->path[i], w->survey->effects[material_of(t, e)] & ~BAKE_EMISSION_BITS);
-#endif
-#if (KERNEL_FEATURES & TRACER_SOLIDS) && !(KERNEL_FEATURES & TRACER_MEDIA)
-    if (!notice_birth_inside(t, &w->path[i], material_of(t, e), e->surface.front)) {
-        w->counts.lost += units_of(&w->path[i]);
-        return false;
-    }
-#endif
+    ++w->path[i].segments;
     if (!HAS(TRACER_MEDIA))
         photons = fly(t, w, i, hit->t);
-    return photons > 0 && meet(t, w, i, photons);
+    return photons > 0 && meet_layers(t, w, i, photons, layers, layer_count);
+#else
+    return false;
+#endif
 }
+#endif
 
 /* What happens to `count` paths from `first` on, from the start of their segments to that of the next: w->goes_on. */
 static void interact(const tracer *t, worker *w, uint32_t first, uint32_t count)
 {
     w->met_count = 0;
+    w->counts.segments += count;
+#if KERNEL_FEATURES & (TRACER_MEDIA | TRACER_TOUCHING)
     for (uint32_t i = first; i < first + count; ++i)
-        w->goes_on[i] = arrive(t, w, i);
+        w->goes_on[i] = arrive_through(t, w, i);
+#else
+    /* Which paths get out can't be foretold; listed without a branch, they cost no wrong guess. */
+    uint32_t hits[WAVE], misses[WAVE], hit_count = 0, miss_count = 0;
+    for (uint32_t i = first; i < first + count; ++i) {
+        const bool miss = w->hit[i].triangle == LUM_MISS;
+        hits[hit_count] = misses[miss_count] = i;
+        hit_count += !miss;
+        miss_count += miss;
+    }
+    for (uint32_t k = 0; k < miss_count; ++k) {
+        w->goes_on[misses[k]] = false;
+        escape(t, w, misses[k]);
+    }
+    for (uint32_t k = 0; k < hit_count; ++k)
+        w->goes_on[hits[k]] = arrive(t, w, hits[k], 1);
+#endif
     lum_scatter_trace_many(w->met_count, w->met);
     for (uint32_t k = 0; k < w->met_count; ++k)
         w->goes_on[w->met_path[k]] = leave(t, w, k);
@@ -1054,8 +1081,7 @@ static inline bool start_backward(const tracer_job *j, worker *w, uint32_t i, ui
     ++w->counts.photons;
     return true;
 }
-#endif
-
+#else
 /* Draws the light of the next photons of the chunk, in the order of order_photons. */
 static void draw(const tracer *t, worker *w, uint64_t first, uint32_t next, uint32_t count)
 {
@@ -1110,6 +1136,7 @@ static inline bool start(const tracer *t, worker *w, uint32_t i)
 #endif
     return true;
 }
+#endif
 
 /* ---------------------------------------------------------------------------------------------------------- the wave */
 
@@ -1128,8 +1155,13 @@ static void record(tracer_job *j, const worker *w)
  * roughly: neighbours in this order start close together and find the emitter, and the tree around it, in the cache. */
 static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t count)
 {
-    enum { BUCKETS = 512 };
+    enum { BUCKETS = 512, FEW = 64 };
     uint16_t bucket[BAKE_CHUNK], start_of[BUCKETS + 1] = {0};
+    if (lum_emitters_count(t->emitters) <= FEW) { /* all are in the cache */
+        for (uint32_t i = 0; i < count; ++i)
+            w->order[i] = (uint16_t)i;
+        return;
+    }
     lum_emitters_parts(t->seed, first, count, BUCKETS, bucket);
     for (uint32_t i = 0; i < count; ++i)
         ++start_of[bucket[i] + 1];
@@ -1181,27 +1213,56 @@ static void follow_alone(const tracer *t, worker *w, uint32_t i)
     }
 }
 
-/* Path i has ended; the last path of the wave takes its place. */
-static inline void close_gap(const tracer *t, worker *w, uint32_t i)
+/* Follows the wave's long paths to their ends; false when too many of `started` photons turned out to be trapped. */
+static bool follow_long(const tracer *t, worker *w, uint32_t started)
+{
+    for (uint32_t i = 0; i < w->alive; ++i) {
+        if (!w->goes_on[i] || w->path[i].segments < LONG_SEGMENTS)
+            continue;
+        follow_alone(t, w, i);
+        w->goes_on[i] = false;
+        if (w->trap.trapped > TRAP_COUNT + TRAP_SHARE * started)
+            return false;
+    }
+    return true;
+}
+
+/* Path i has ended. */
+static inline void finish(const tracer *t, worker *w, uint32_t i)
 {
 #if KERNEL_FEATURES & TRACER_SURVEY
     note_end(t, w, i);
-#else
-    (void)t;
 #endif
 #if KERNEL_FEATURES & TRACER_BACKWARD
     for (int k = 0; k < 3; ++k)
         w->radiance[w->path[i].number][k] = (float)w->path[i].radiance[k];
 #endif
-    const uint32_t last = --w->alive;
-    w->origin[i] = w->origin[last];
-    w->direction[i] = w->direction[last];
-    w->hit[i] = w->hit[last];
-    w->goes_on[i] = w->goes_on[last];
-#if KERNEL_FEATURES & TRACER_MEDIA
-    w->reach[i] = w->reach[last];
+    (void)t, (void)w, (void)i;
+}
+
+/* Puts a path that waits, or the next photon of the chunk, in place i of the wave; false if there is none. */
+static inline bool refill(const tracer_job *j, worker *w, uint32_t i, uint64_t first, uint32_t count, uint32_t *next)
+{
+    if (w->pending_count > 0) {
+        const waiting_path *p = &w->pending[--w->pending_count];
+        w->origin[i] = p->origin;
+        w->direction[i] = p->direction;
+        w->path[i] = p->path;
+        return true;
+    }
+    while (*next < count) {
+#if KERNEL_FEATURES & TRACER_BACKWARD
+        if (start_backward(j, w, i, first + (*next)++))
+            return true;
+#else
+        if (w->drawn_next == w->drawn_count)
+            draw(j->tracer, w, first, *next, count);
+        ++*next;
+        if (start(j->tracer, w, i))
+            return true;
 #endif
-    w->path[i] = w->path[last];
+    }
+    return false;
 }
 
 /* Traces photons first .. first+count-1 (count at most BAKE_CHUNK) to their ends, or until too many are trapped. */
@@ -1216,26 +1277,21 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
         order_photons(t, w, first, (uint32_t)count);
     w->trap.started = w->trap.trapped = 0;
     w->drawn_next = w->drawn_count = 0;
-    uint32_t next = 0;
+    uint32_t next = 0, free_count = WAVE;
+    uint32_t free_place[WAVE]; /* of the wave, in ascending order */
+    for (uint32_t i = 0; i < WAVE; ++i)
+        free_place[i] = i;
+    w->alive = WAVE;
     for (;;) {
-        while (w->alive < WAVE) {
-            if (w->pending_count > 0) {
-                const waiting_path *p = &w->pending[--w->pending_count];
-                w->origin[w->alive] = p->origin;
-                w->direction[w->alive] = p->direction;
-                w->path[w->alive++] = p->path;
-            } else if (next < count) {
-#if KERNEL_FEATURES & TRACER_BACKWARD
-                w->alive += start_backward(j, w, w->alive, first + next++);
+        /* From the last on: where nothing is left to start, what the last path leaves free has been dealt with. */
+        while (free_count > 0) {
+            const uint32_t i = free_place[--free_count];
+            if (refill(j, w, i, first, (uint32_t)count, &next))
                 continue;
-#endif
-                if (w->drawn_next == w->drawn_count)
-                    draw(t, w, first, next, (uint32_t)count);
-                ++next;
-                w->alive += start(t, w, w->alive);
-            } else {
-                break;
-            }
+            const uint32_t last = --w->alive;
+            w->origin[i] = w->origin[last];
+            w->direction[i] = w->direction[last];
+            w->path[i] = w->path[last];
         }
         if (w->alive == 0)
             return;
@@ -1243,24 +1299,24 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
             record(j, w);
         find_hits(t, w, 0, w->alive);
         interact(t, w, 0, w->alive);
-        for (uint32_t i = 0; i < w->alive;) {
-            if (!w->goes_on[i]) {
-                close_gap(t, w, i);
-            } else if (w->path[i].segments < LONG_SEGMENTS) {
-                ++i;
-            } else {
-                follow_alone(t, w, i);
-                close_gap(t, w, i);
-                if (w->trap.trapped > TRAP_COUNT + TRAP_SHARE * next) {
-                    if (!atomic_flag_test_and_set(&j->trap_taken)) {
-                        w->trap.started = next;
-                        j->trap = w->trap;
-                    }
-                    atomic_store(&j->stopped, true);
-                    return;
-                }
+        bool some_long = false;
+        for (uint32_t i = 0; i < w->alive; ++i)
+            some_long |= w->path[i].segments >= LONG_SEGMENTS;
+        if (some_long && !follow_long(t, w, next)) {
+            if (!atomic_flag_test_and_set(&j->trap_taken)) {
+                w->trap.started = next;
+                j->trap = w->trap;
             }
+            atomic_store(&j->stopped, true);
+            return;
         }
+        for (uint32_t i = 0; i < w->alive; ++i) {
+            free_place[free_count] = i;
+            free_count += !w->goes_on[i];
+        }
+        if (HAS(TRACER_SURVEY) || HAS(TRACER_BACKWARD))
+            for (uint32_t k = 0; k < free_count; ++k)
+                finish(t, w, free_place[k]);
     }
 }
 

@@ -420,6 +420,11 @@ void lum_emitters_destroy(lum_emitters *emitters)
     }
 }
 
+uint32_t lum_emitters_count(const lum_emitters *emitters)
+{
+    return emitters->patch_count + emitters->light_count;
+}
+
 double lum_emitters_flux(const lum_emitters *emitters, double rgb[3])
 {
     if (rgb) {

@@ -27,6 +27,14 @@ typedef struct facet_columns {
     size_t count;
 } facet_columns;
 
+/* Columns are filled up to whole vectors: a loop's last few rounds, one by one, would take as long as all the others. */
+enum { VECTOR = 8 };
+
+static inline size_t whole_vectors(size_t count)
+{
+    return (count + VECTOR - 1) / VECTOR * VECTOR;
+}
+
 static inline void put(double (*column)[LUM_MAX_ENCOUNTERS], size_t i, lmg_vec3 v)
 {
     column[0][i] = v.x;
@@ -41,7 +49,7 @@ static inline lmg_vec3 get(const double (*column)[LUM_MAX_ENCOUNTERS], size_t i)
 
 LUM_WIDE static void turn_diffusely(diffuse_columns *restrict c)
 {
-    const size_t count = c->count;
+    const size_t count = whole_vectors(c->count);
     for (size_t i = 0; i < count; i++) {
         lmg_vec3 wo = vec_about_squared(get((const double(*)[LUM_MAX_ENCOUNTERS])c->n, i), c->q[i], c->azimuth[i]);
         put(c->wo, i, wo);
@@ -50,7 +58,7 @@ LUM_WIDE static void turn_diffusely(diffuse_columns *restrict c)
 
 LUM_WIDE static void reflect_on_facets(facet_columns *restrict c)
 {
-    const size_t count = c->count;
+    const size_t count = whole_vectors(c->count);
     for (size_t i = 0; i < count; i++) {
         lmg_vec3 n = get((const double(*)[LUM_MAX_ENCOUNTERS])c->n, i), g = get((const double(*)[LUM_MAX_ENCOUNTERS])c->g, i);
         lmg_vec3 x = vec_along(get((const double(*)[LUM_MAX_ENCOUNTERS])c->wi, i), n, -c->c[i]);
@@ -160,9 +168,21 @@ void lum_scatter_trace_many(size_t count, lum_encounter *encounters)
             trace_alone(&encounters[k]);
         }
     }
+    for (size_t i = diffuse.count; i < whole_vectors(diffuse.count); i++) {
+        put(diffuse.n, i, vec(0, 0, 1));
+        diffuse.q[i] = diffuse.azimuth[i] = 0;
+    }
     turn_diffusely(&diffuse);
     for (size_t i = 0; i < diffuse.count; i++) {
         encounters[diffuse.encounter[i]].out.wo = get((const double(*)[LUM_MAX_ENCOUNTERS])diffuse.wo, i);
+    }
+    for (size_t i = metal.count; i < whole_vectors(metal.count); i++) {
+        put(metal.n, i, vec(0, 0, 1));
+        put(metal.g, i, vec(0, 0, 0));
+        put(metal.wi, i, vec(0.6, 0, 0.8));
+        metal.c[i] = 0.8;
+        metal.alpha[i] = 0.5;
+        metal.xi[0][i] = metal.xi[1][i] = metal.xi[2][i] = 0.5;
     }
     reflect_on_facets(&metal);
     for (size_t i = 0; i < metal.count; i++) {

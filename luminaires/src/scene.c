@@ -484,36 +484,45 @@ static inline void intersect(RTCScene embree, struct RTCIntersectContext *contex
 }
 
 /* Closest hit between `near` and `far`, as Embree sees it. */
-static inline bool trace(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, float near, float far, struct RTCRayHit *rayhit)
+static inline bool trace(const lum_scene *scene, struct RTCIntersectContext *context, lmg_vec3 o, lmg_vec3 d, float near, float far,
+                         struct RTCRayHit *rayhit)
 {
-    struct RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
     set_ray(&rayhit->ray, o, d, near, far);
     rayhit->hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rayhit->hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    intersect(scene->embree, &context, rayhit);
+    intersect(scene->embree, context, rayhit);
     return rayhit->hit.geomID != RTC_INVALID_GEOMETRY_ID;
 }
 
-/* The hit that rayhit names, or the first true one after it. */
-static inline bool settle(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, struct RTCRayHit *rayhit, lum_hit *hit)
+/* The first true hit after the one that Embree found at the given distance, where nothing is met in truth.  It was the closest that
+ * Embree found, so all others lie beyond. */
+static bool look_beyond(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, float distance, lum_hit *hit)
 {
-    float near = 0;
-    do {
-        hit->triangle = rayhit->hit.primID;
-        if (confirm_hit(&scene->triangles[rayhit->hit.primID], origin, direction, hit)) {
+    struct RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    struct RTCRayHit rayhit;
+    float near = beyond(distance, 0);
+    while (trace(scene, &context, origin, direction, near, INFINITY, &rayhit)) {
+        hit->triangle = rayhit.hit.primID;
+        if (confirm_hit(&scene->triangles[hit->triangle], origin, direction, hit)) {
             return true;
         }
-        /* Not met in truth.  It was the closest that Embree found, so all others lie beyond. */
-        near = beyond(rayhit->ray.tfar, near);
-    } while (trace(scene, origin, direction, near, INFINITY, rayhit));
+        near = beyond(rayhit.ray.tfar, near);
+    }
     return false;
 }
 
 bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit *hit)
 {
+    struct RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
     struct RTCRayHit rayhit;
-    return trace(scene, origin, direction, 0, INFINITY, &rayhit) && settle(scene, origin, direction, &rayhit, hit);
+    if (!trace(scene, &context, origin, direction, 0, INFINITY, &rayhit)) {
+        return false;
+    }
+    hit->triangle = rayhit.hit.primID;
+    return confirm_hit(&scene->triangles[hit->triangle], origin, direction, hit) ||
+           look_beyond(scene, origin, direction, rayhit.ray.tfar, hit);
 }
 
 bool lum_scene_touches(const lum_scene *scene)
@@ -623,21 +632,35 @@ uint32_t lum_scene_all_here(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 di
     return count;
 }
 
-/* reach: NULL = no end. */
+/* reach: NULL = no end.  Whether a ray meets anything can't be foretold; so those that do are listed without a branch and worked on
+ * afterwards. */
 static inline void intersect_all(const lum_scene *scene, size_t count, const lmg_vec3 *origins, const lmg_vec3 *directions,
                                  const double *reach, lum_hit *hits)
 {
-    struct RTCRayHit rayhits[LUM_MAX_RAYS];
+    struct RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    struct RTCRayHit rayhit;
+    uint32_t met[LUM_MAX_RAYS], triangle[LUM_MAX_RAYS];
+    float distance[LUM_MAX_RAYS];
+    size_t met_count = 0;
     for (size_t i = 0; i < count; i++) {
-        if (trace(scene, origins[i], directions[i], 0, reach ? nextafterf((float)reach[i], INFINITY) : INFINITY, &rayhits[i])) {
-            __builtin_prefetch(&scene->triangles[rayhits[i].hit.primID]);
-            if (scene->normals) {
-                __builtin_prefetch(scene->normals[rayhits[i].hit.primID]);
-            }
+        bool hit = trace(scene, &context, origins[i], directions[i], 0, reach ? nextafterf((float)reach[i], INFINITY) : INFINITY, &rayhit);
+        uint32_t at = hit ? rayhit.hit.primID : 0;
+        __builtin_prefetch(&scene->triangles[at]);
+        if (scene->normals) {
+            __builtin_prefetch(scene->normals[at]);
         }
+        hits[i].triangle = LUM_MISS;
+        met[met_count] = (uint32_t)i;
+        triangle[met_count] = at;
+        distance[met_count] = rayhit.ray.tfar;
+        met_count += hit;
     }
-    for (size_t i = 0; i < count; i++) {
-        if (rayhits[i].hit.geomID == RTC_INVALID_GEOMETRY_ID || !settle(scene, origins[i], directions[i], &rayhits[i], &hits[i])) {
+    for (size_t k = 0; k < met_count; k++) {
+        size_t i = met[k];
+        hits[i].triangle = triangle[k];
+        if (!confirm_hit(&scene->triangles[triangle[k]], origins[i], directions[i], &hits[i]) &&
+            !look_beyond(scene, origins[i], directions[i], distance[k], &hits[i])) {
             hits[i].triangle = LUM_MISS;
         }
     }
@@ -659,10 +682,12 @@ void lum_scene_intersect_within(const lum_scene *scene, size_t count, const lmg_
  * the cosine, so that a light would shadow itself at grazing angles: hence the closest hit here too. */
 bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance)
 {
+    struct RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
     struct RTCRayHit rayhit;
     lum_hit hit;
     float near = 0, far = nextafterf((float)distance, INFINITY);
-    while (trace(scene, origin, direction, near, far, &rayhit)) {
+    while (trace(scene, &context, origin, direction, near, far, &rayhit)) {
         if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, &hit)) {
             /* Hits are exact, so what is closer than the end by an origin's offset is in between. */
             return hit.t < distance - hit.error;

@@ -160,6 +160,9 @@ typedef struct lum_photons {
 } lum_photons;
 void lum_emitters_sample_many(const lum_emitters *emitters, uint64_t seed, size_t count, lum_photons *photons);
 
+/* How many triangles (or pieces of textured ones) and lights are in the emitters' table. */
+uint32_t lum_emitters_count(const lum_emitters *emitters);
+
 /* Which of `parts` equal parts of the emitters' table photon first + i chooses (the first number of its stream says so): photons of one
  * part start close together.  parts: at most 2^16. */
 void lum_emitters_parts(uint64_t seed, uint64_t first, size_t count, uint32_t parts, uint16_t *part);
