@@ -118,9 +118,17 @@ static void note_folds(lum_scene *scene, const edge_slot *slot)
     }
 }
 
+static void note_neighbours(lum_scene *scene, const edge_slot *slot)
+{
+    for (int i = 0; i < 2; i++) {
+        scene->neighbour[slot->edge[i] / 3][slot->edge[i] % 3] = slot->edge[1 - i] / 3;
+    }
+}
+
 static void forget_edges(lum_scene *scene, const edge_slot *slot)
 {
     for (int i = 0; i < 2; i++) {
+        scene->neighbour[slot->edge[i] / 3][slot->edge[i] % 3] = LUM_MISS;
         uint32_t k = slot->edge[i] % 3;
         scene->triangles[slot->edge[i] / 3].edges &= ~(1u << k | (uint32_t)LUM_FOLD_STEPS << (3 + LUM_FOLD_BITS * k));
     }
@@ -155,7 +163,7 @@ static bool lies_folded(const lum_scene *scene, const edge_slot *slot)
 }
 
 /*
- * Looks at the edges where exactly two triangles meet, matched by position: how they are folded, and where they go on almost in one
+ * Looks at the edges where exactly two triangles meet, matched by position: which they are, how they are folded, and where they go on almost in one
  * plane (within 8 degrees).  There an origin that stands off one triangle stands off the other as well (by at least 0.99 of it), so
  * hits need no distance from the edge; and in the acute corner of a long thin triangle there would be no room for it: a hit would
  * be moved far along the triangle.
@@ -194,6 +202,7 @@ static bool note_edges(lum_scene *scene, uint32_t count)
         }
         slot->count += slot->count < 3;
         if (slot->count == 2) {
+            note_neighbours(scene, slot);
             note_folds(scene, slot);
             const float *m = scene->triangles[slot->edge[0] / 3].ng, *n = scene->triangles[e / 3].ng;
             if (fabsf(m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) > 0.99f && !lies_folded(scene, slot)) {
@@ -236,10 +245,12 @@ lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *
     uint32_t count = model->triangle_count, smooth = 0;
     scene->triangles = aligned_alloc(64, ((size_t)count + 1) * sizeof *scene->triangles);
     scene->normals = malloc(((size_t)count + 1) * sizeof *scene->normals);
-    if (!scene->triangles || !scene->normals) {
+    scene->neighbour = malloc(((size_t)count + 1) * sizeof *scene->neighbour);
+    if (!scene->triangles || !scene->normals || !scene->neighbour) {
         result = lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for %u triangles", count);
         goto cleanup;
     }
+    memset(scene->neighbour, 0xff, ((size_t)count + 1) * sizeof *scene->neighbour); /* LUM_MISS */
     for (uint32_t i = 0; i < count; i++) {
         fill_triangle(model, i, &scene->triangles[i], scene->normals[i]);
         smooth += scene->triangles[i].material >> 31;
@@ -308,6 +319,7 @@ lmg_result lum_scene_create_variant(const lum_scene *geometry, const lum_model *
     *scene = (lum_scene){.model = model,
                          .triangles = geometry->triangles,
                          .normals = geometry->normals,
+                         .neighbour = geometry->neighbour,
                          .device = geometry->device,
                          .embree = geometry->embree,
                          .touching = geometry->touching,
@@ -338,6 +350,7 @@ void lum_scene_destroy(lum_scene *scene)
             rtcReleaseDevice(scene->device);
         }
         free(scene->normals);
+        free(scene->neighbour);
         free(scene->triangles);
     }
     lum_tables_destroy(&scene->tables);
@@ -418,8 +431,11 @@ static inline void keep_off_edges(const lum_triangle *tri, lmg_vec3 e1, lmg_vec3
     }
 }
 
+typedef enum met { NOT_MET = 0, MET, MET_AT_EDGE } met;
+
 /*
- * The triangle again, in double [moller1997triangle].  Returns whether the ray truly meets it.
+ * The triangle again, in double [moller1997triangle].  Returns whether the ray truly meets it, and that
+ * near one of its edges.
  *
  * Embree decides in float and (robust mode) in favour of a hit, so near an edge the exact point may lie slightly outside.  Then the
  * point of the edge that the ray passes closest is taken, if that is within the rounding of Embree's input: origin and direction
@@ -428,7 +444,7 @@ static inline void keep_off_edges(const lum_triangle *tri, lmg_vec3 e1, lmg_vec3
  * the other triangle lies behind the first one: light that just passes it by goes on, or it would be held to have met the second
  * one without the first.
  */
-static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, lum_hit *hit)
+static inline met confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, lum_hit *hit)
 {
     lmg_vec3 a = vec_from_float(tri->v[0]);
     lmg_vec3 e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
@@ -436,20 +452,22 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
     double inverse = 1 / vec_dot(e1, p); /* infinite for a ray in the plane: the comparisons below then fail */
     double b1 = vec_dot(s, p) * inverse, b2 = vec_dot(d, q) * inverse, t = vec_dot(e2, q) * inverse;
     if (!(t > 0 && t < (double)INFINITY)) {
-        return false;
+        return NOT_MET;
     }
     double margin = (double)tri->margin, b0 = 1 - b1 - b2;
+    met result = MET;
     if (!(b1 >= margin && b2 >= margin && b0 >= margin)) {
         if (!(b1 >= 0 && b2 >= 0 && b0 >= 0)) {
             int edge;
             double along, off = nearest_edge_point(s, e1, e2, d, b0, &b1, &b2, &along, &edge);
             double reach = (double)tri->error + 32 * LUM_FLOAT_ROUNDING * (fabs(o.x) + fabs(o.y) + fabs(o.z) + along);
             if (!(along > 0 && off <= reach) || (edge >= 0 && is_outline(tri, edge, d))) {
-                return false;
+                return NOT_MET;
             }
             t = along;
         }
         keep_off_edges(tri, e1, e2, &b1, &b2);
+        result = MET_AT_EDGE;
     }
     hit->t = t;
     hit->position = vec_along(vec_along(a, e1, b1), e2, b2);
@@ -459,7 +477,41 @@ static inline bool confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, 
     /* The normal was rounded to float: its square is 1 + x, |x| < 2e-7; one Newton step for 1/sqrt(1+x) makes it unit to x^2. */
     lmg_vec3 ng = vec_from_float(tri->ng);
     hit->ng = vec_scale(ng, 1.5 - 0.5 * vec_dot(ng, ng));
-    return true;
+    return result;
+}
+
+/*
+ * Of two triangles that a ray meets near the edge between them, Embree's distances, rounded to float, may put the farther one first:
+ * at the tip of a groove in glass, light would be found to enter where it hasn't yet left.  Here the nearer one becomes the hit.
+ */
+static void prefer_neighbour(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, lum_hit *hit)
+{
+    const uint32_t found = hit->triangle;
+    for (int k = 0; k < 3; k++) {
+        const uint32_t other = scene->neighbour[found][k];
+        if (other == LUM_MISS || scene->triangles[found].edges >> k & 1) {
+            continue;
+        }
+        const lum_triangle *tri = &scene->triangles[other];
+        lmg_vec3 a = vec_from_float(tri->v[0]);
+        lmg_vec3 e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
+        lmg_vec3 s = vec_sub(o, a), p = vec_cross(d, e2), q = vec_cross(s, e1);
+        double inverse = 1 / vec_dot(e1, p), b1 = vec_dot(s, p) * inverse, b2 = vec_dot(d, q) * inverse, t = vec_dot(e2, q) * inverse;
+        if (b1 >= 0 && b2 >= 0 && b1 + b2 <= 1 && t > 0 && t < hit->t && confirm_hit(tri, o, d, hit)) {
+            hit->triangle = other;
+        }
+    }
+}
+
+/* Whether a ray for which Embree has found the triangle truly meets it, or its neighbour before it: then that is the hit. */
+static inline bool take_hit(const lum_scene *scene, uint32_t triangle, lmg_vec3 o, lmg_vec3 d, lum_hit *hit)
+{
+    const met how = confirm_hit(&scene->triangles[triangle], o, d, hit);
+    hit->triangle = triangle;
+    if (how == MET_AT_EDGE) {
+        prefer_neighbour(scene, o, d, hit);
+    }
+    return how != NOT_MET;
 }
 
 /* Where to go on after a false hit at distance t, beyond `near`.  Tracing threads take denormal numbers for zero, so the next
@@ -503,8 +555,7 @@ static bool look_beyond(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direct
     struct RTCRayHit rayhit;
     float near = beyond(distance, 0);
     while (trace(scene, &context, origin, direction, near, INFINITY, &rayhit)) {
-        hit->triangle = rayhit.hit.primID;
-        if (confirm_hit(&scene->triangles[hit->triangle], origin, direction, hit)) {
+        if (take_hit(scene, rayhit.hit.primID, origin, direction, hit)) {
             return true;
         }
         near = beyond(rayhit.ray.tfar, near);
@@ -520,9 +571,7 @@ bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direc
     if (!trace(scene, &context, origin, direction, 0, INFINITY, &rayhit)) {
         return false;
     }
-    hit->triangle = rayhit.hit.primID;
-    return confirm_hit(&scene->triangles[hit->triangle], origin, direction, hit) ||
-           look_beyond(scene, origin, direction, rayhit.ray.tfar, hit);
+    return take_hit(scene, rayhit.hit.primID, origin, direction, hit) || look_beyond(scene, origin, direction, rayhit.ray.tfar, hit);
 }
 
 bool lum_scene_touches(const lum_scene *scene)
@@ -640,9 +689,9 @@ static inline void intersect_all(const lum_scene *scene, size_t count, const lmg
     struct RTCIntersectContext context;
     rtcInitIntersectContext(&context);
     struct RTCRayHit rayhit;
-    uint32_t met[LUM_MAX_RAYS], triangle[LUM_MAX_RAYS];
+    uint32_t ray[LUM_MAX_RAYS], triangle[LUM_MAX_RAYS];
     float distance[LUM_MAX_RAYS];
-    size_t met_count = 0;
+    size_t ray_count = 0;
     for (size_t i = 0; i < count; i++) {
         bool hit = trace(scene, &context, origins[i], directions[i], 0, reach ? nextafterf((float)reach[i], INFINITY) : INFINITY, &rayhit);
         uint32_t at = hit ? rayhit.hit.primID : 0;
@@ -651,15 +700,14 @@ static inline void intersect_all(const lum_scene *scene, size_t count, const lmg
             __builtin_prefetch(scene->normals[at]);
         }
         hits[i].triangle = LUM_MISS;
-        met[met_count] = (uint32_t)i;
-        triangle[met_count] = at;
-        distance[met_count] = rayhit.ray.tfar;
-        met_count += hit;
+        ray[ray_count] = (uint32_t)i;
+        triangle[ray_count] = at;
+        distance[ray_count] = rayhit.ray.tfar;
+        ray_count += hit;
     }
-    for (size_t k = 0; k < met_count; k++) {
-        size_t i = met[k];
-        hits[i].triangle = triangle[k];
-        if (!confirm_hit(&scene->triangles[triangle[k]], origins[i], directions[i], &hits[i]) &&
+    for (size_t k = 0; k < ray_count; k++) {
+        size_t i = ray[k];
+        if (!take_hit(scene, triangle[k], origins[i], directions[i], &hits[i]) &&
             !look_beyond(scene, origins[i], directions[i], distance[k], &hits[i])) {
             hits[i].triangle = LUM_MISS;
         }

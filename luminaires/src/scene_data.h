@@ -42,6 +42,7 @@ struct lum_scene {
     const lum_model *model;
     lum_triangle *triangles;
     float (*normals)[3][3]; /* per triangle; NULL if no triangle is smooth */
+    uint32_t (*neighbour)[3]; /* per triangle: the one beyond the edge opposite vertex i, where exactly two meet, else LUM_MISS */
     lum_shading *shading;   /* per material */
     lum_table_store tables;
     void *device, *embree; /* RTCDevice, RTCScene */
