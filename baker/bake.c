@@ -406,33 +406,50 @@ static lmg_result identify(const bake *b, bake_part *part, lmg_error *err)
     return result;
 }
 
-/* Cells for the size of the file asked for; a line on why. */
-static lmg_result choose_cells(bake *b, double seconds, lmg_fit_options *fit, char why[160], lmg_error *err)
+/* How many photons the whole bake will have, about. */
+static double photons_expected(const bake *b, double seconds)
 {
     const bake_options *o = b->options;
-    why[0] = 0;
-    if (fit->cells || fit->resolution[0] || fit->resolution[1] || fit->resolution[2] || fit->resolution[3])
-        return LMG_OK;
-    const double photons = o->whole > 0    ? (double)o->whole
-                           : o->photons > 0 ? (double)o->photons
-                                            : (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6) * seconds;
-    /* what a cell is too many that one photon in CELLS_PER_PHOTON finds; but as many as always for few photons */
-    const double most = o->size > 0 ? fmin(fmax(CELLS_PER_PHOTON * photons, (double)DEFAULT_CELLS), (double)MOST_CELLS) : (double)DEFAULT_CELLS;
+    return o->whole > 0     ? (double)o->whole
+           : o->photons > 0 ? (double)o->photons
+                            : (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6) * seconds;
+}
+
+/* The layout: of as many cells as are asked for, or as the size of the file allows and the light calls for; a line on why. */
+static lmg_result choose_layout(bake *b, double seconds, lmg_layout *layout, char both[1184], lmg_error *err)
+{
+    const bake_options *o = b->options;
+    lmg_fit_options fit = o->fit;
+    char why[1024], cells[160] = "";
     size_t count;
     const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
-    bake_size size;
-    const double wanted = o->size > 0 ? o->size : BAKE_SIZE;
-    const lmg_result result = bake_size_choose(rays, count, (double)b->part->pilot_photons, photons, fit, wanted, (uint64_t)most, &size, err);
-    if (result != LMG_OK)
-        return result;
-    fit->cells = size.cells;
-    b->report->size_foretold = size.bytes;
-    if (size.bytes > 0)
-        snprintf(why, 160, "%.3g M cells: %s; about %.2f MB of %.2f for %.3g M photons\n", 1e-6 * (double)size.cells,
-                 size.limited ? "what the size allows" : "the size would allow more", 1e-6 * size.bytes, 1e-6 * wanted, 1e-6 * photons);
-    else
-        snprintf(why, 160, "%.3g M cells: %.3g M photons don't fill %.2f MB\n", 1e-6 * (double)size.cells, 1e-6 * photons, 1e-6 * wanted);
-    return LMG_OK;
+    const double photons = photons_expected(b, seconds), pilot_photons = (double)b->part->pilot_photons;
+    fit.struct_size = sizeof(fit);
+    fit.bounds_min = b->tracer->bounds_min;
+    fit.bounds_max = b->tracer->bounds_max;
+    fit.photons = photons * (double)count / pilot_photons;
+    lmg_result result;
+    if (fit.cells || fit.resolution[0] || fit.resolution[1] || fit.resolution[2] || fit.resolution[3]) {
+        result = lmg_layout_fit(rays, count, &fit, layout, why, err);
+    } else {
+        /* what a cell is too many that one photon in CELLS_PER_PHOTON finds; but as many as always for few photons */
+        const double most = o->size > 0 ? fmin(fmax(CELLS_PER_PHOTON * photons, (double)DEFAULT_CELLS), (double)MOST_CELLS) : (double)DEFAULT_CELLS;
+        const double wanted = o->size > 0 ? o->size : BAKE_SIZE;
+        bake_size size;
+        fit.fewer_cells = true;
+        result = bake_size_choose(rays, count, pilot_photons, photons, &fit, wanted, (uint64_t)most, layout, why, &size, err);
+        if (result != LMG_OK)
+            return result;
+        b->report->size_foretold = size.bytes;
+        if (size.bytes > 0)
+            snprintf(cells, sizeof(cells), "at most %.3g M cells: %s; about %.2f MB of %.2f for %.3g M photons\n", 1e-6 * (double)size.cells,
+                     size.limited ? "what the size allows" : "the size would allow more", 1e-6 * size.bytes, 1e-6 * wanted, 1e-6 * photons);
+        else
+            snprintf(cells, sizeof(cells), "at most %.3g M cells: %.3g M photons don't fill %.2f MB\n", 1e-6 * (double)size.cells,
+                     1e-6 * photons, 1e-6 * wanted);
+    }
+    snprintf(both, 1184, "%s%s", cells, result == LMG_OK ? why : "");
+    return result;
 }
 
 /* Decides how many rays are traced backwards. */
@@ -466,20 +483,10 @@ static lmg_result begin_part(bake *b, double seconds, lmg_error *err)
         return result;
     b->report->pilot_seconds = bake_clock() - began;
 
-    lmg_fit_options fit = b->options->fit;
-    fit.struct_size = sizeof(fit);
-    fit.bounds_min = b->tracer->bounds_min;
-    fit.bounds_max = b->tracer->bounds_max;
-    size_t count;
-    const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
     lmg_layout layout;
-    char cells[160], why[1024], both[1184], pilot[24];
+    char why[1184], pilot[24];
     snprintf(pilot, sizeof(pilot), "%" PRIu64, b->part->pilot_photons);
-    result = choose_cells(b, seconds, &fit, cells, err);
-    if (result == LMG_OK)
-        result = lmg_layout_fit(rays, count, &fit, &layout, why, err);
-    if (result == LMG_OK)
-        snprintf(both, sizeof(both), "%s%s", cells, why);
+    result = choose_layout(b, seconds, &layout, why, err);
     if (result == LMG_OK)
         result = measure_noise(b, &layout, err);
     if (result == LMG_OK && b->options->rays_per_photon != 0)
@@ -487,7 +494,7 @@ static lmg_result begin_part(bake *b, double seconds, lmg_error *err)
     if (result == LMG_OK)
         result = bake_part_set_text(b->part, PART_PILOT_PHOTONS, pilot, err);
     if (result == LMG_OK)
-        result = bake_part_set_text(b->part, PART_LAYOUT_WHY, both, err);
+        result = bake_part_set_text(b->part, PART_LAYOUT_WHY, why, err);
     if (result == LMG_OK)
         result = lmg_accumulator_create(&layout, &b->part->accumulator, err);
     return result;

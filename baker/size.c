@@ -39,58 +39,80 @@ lmg_result bake_size_of(const lmg_field *field, double *bytes, lmg_error *err)
 }
 
 typedef struct trial {
-    double cells, tiles, bytes;
+    double tiles, bytes;
 } trial;
 
-/* A box of the pilot's rays. */
-static lmg_result try_cells(const lmg_ray *rays, size_t count, const lmg_fit_options *fit, double cells, trial *out, lmg_error *err)
+/* A slab's cells, fewer in all by a factor. */
+static uint32_t coarser(uint32_t n, double factor)
 {
-    lmg_fit_options wishes = *fit;
-    wishes.cells = (uint64_t)cells;
-    lmg_layout layout;
+    const double m = floor((double)n * pow(factor, 0.25) + 0.5);
+    return m > 1 ? (uint32_t)m : 1;
+}
+
+/* A box of the pilot's rays in cells that are fewer by a factor. */
+static lmg_result try_cells(const lmg_ray *rays, size_t count, lmg_layout layout, double factor, trial *out, lmg_error *err)
+{
     lmg_accumulator *accumulator = NULL;
     lmg_field *field = NULL;
-    lmg_result result = lmg_layout_fit(rays, count, &wishes, &layout, NULL, err);
-    if (result == LMG_OK)
-        result = lmg_accumulator_create(&layout, &accumulator, err);
+    *out = (trial){0};
+    for (uint32_t i = 0; i < layout.slab_count; ++i) {
+        lmg_slab *s = &layout.slabs[i];
+        s->nu = coarser(s->nu, factor);
+        s->nv = coarser(s->nv, factor);
+        s->ns = coarser(s->ns, factor);
+        s->nt = coarser(s->nt, factor);
+        out->tiles += (double)s->nu * s->nv;
+    }
+    lmg_result result = lmg_accumulator_create(&layout, &accumulator, err);
     if (result == LMG_OK) {
         lmg_accumulator_deposit(accumulator, rays, count);
         result = lmg_field_reconstruct(accumulator, 1, NULL, &field, err);
     }
-    *out = (trial){.cells = (double)wishes.cells}; /* the slabs that catch what passes beside are much the same in all boxes */
-    if (result == LMG_OK) {
-        for (uint32_t i = 0; i < layout.slab_count; ++i) {
-            const lmg_slab *s = &layout.slabs[i];
-            out->tiles += (double)s->nu * s->nv;
-        }
+    if (result == LMG_OK)
         result = bake_size_of(field, &out->bytes, err);
-    }
     lmg_field_destroy(field);
     lmg_accumulator_destroy(accumulator);
     return result;
 }
 
+/* Of a layout's slabs, without those that catch what passes beside: they are much the same in all boxes. */
+static double cells_of(const lmg_layout *layout)
+{
+    double cells = 0;
+    for (uint32_t i = 0; i + 6 < layout->slab_count; ++i) {
+        const lmg_slab *s = &layout->slabs[i];
+        cells += (double)s->nu * s->nv * s->ns * s->nt;
+    }
+    return cells;
+}
+
 lmg_result bake_size_choose(const lmg_ray *rays, size_t count, double pilot_photons, double photons, const lmg_fit_options *fit, double bytes,
-                            uint64_t most, bake_size *out, lmg_error *err)
+                            uint64_t most, lmg_layout *layout, char why[1024], bake_size *out, lmg_error *err)
 {
     const double density = fmax(photons / pilot_photons, 1);
-    uint64_t cells = most;
-    if (HEADER_BYTES + PHOTON_BYTES * photons + TILE_BYTES * TILES * sqrt((double)most) <= bytes) {
-        *out = (bake_size){.cells = most};
-        return LMG_OK;
-    }
+    lmg_fit_options wishes = *fit;
+    wishes.cells = most;
     for (;;) {
+        lmg_result result = lmg_layout_fit(rays, count, &wishes, layout, why, err);
+        if (result != LMG_OK)
+            return result;
+        *out = (bake_size){.cells = wishes.cells, .limited = wishes.cells < most};
+        const double cells = cells_of(layout);
+        if (HEADER_BYTES + PHOTON_BYTES * photons + TILE_BYTES * TILES * sqrt(cells) <= bytes)
+            return LMG_OK;
+        /* how many times more cells and photons the box has than the trial */
+        const double larger = fmax(fmin(density, cells / LEAST_TRIAL), 1);
         trial t;
-        const lmg_result result = try_cells(rays, count, fit, fmax((double)cells / density, fmin(LEAST_TRIAL, (double)cells)), &t, err);
+        result = try_cells(rays, count, *layout, 1 / larger, &t, err);
         if (result != LMG_OK)
             return result;
         /* tiles become more as cells do, and larger alike */
-        const double larger = fmax((double)cells / t.cells, 1), each = fmax(t.bytes - HEADER_BYTES / 2 - TILE_BYTES * t.tiles, 0) / t.cells;
-        *out = (bake_size){.cells = cells, .bytes = HEADER_BYTES + TILE_BYTES * t.tiles * sqrt(larger) + each * (double)cells, .limited = cells < most};
-        if (out->bytes <= bytes || cells <= LEAST_CELLS)
+        const double each = fmax(t.bytes - HEADER_BYTES / 2 - TILE_BYTES * t.tiles, 0) * larger;
+        out->bytes = HEADER_BYTES + TILE_BYTES * t.tiles * sqrt(larger) + each;
+        if (out->bytes <= bytes || wishes.cells <= LEAST_CELLS)
             return LMG_OK;
         /* fewer cells get more photons each, so that bytes go down more slowly than cells */
-        const double fewer = (double)cells * fmin(AIM * bytes / out->bytes, 0.8);
-        cells = fewer > (double)LEAST_CELLS ? (uint64_t)fewer : LEAST_CELLS;
+        const double fewer = fmin((double)wishes.cells, cells) * fmin(AIM * bytes / out->bytes, 0.8);
+        wishes.cells = fewer > (double)LEAST_CELLS ? (uint64_t)fewer : LEAST_CELLS;
     }
 }

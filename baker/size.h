@@ -16,10 +16,10 @@ typedef struct bake_size {
     bool limited;   /* by the size; else by most */
 } bake_size;
 
-/* The number of cells, at most `most`, whose box of `photons` photons has `bytes` or a little less.  rays: those of a pilot of
- * pilot_photons; fit: bounds and wishes, without cells.  Errors: as lmg_layout_fit and lmg_field_write (a temporary file). */
+/* Fits a layout of at most `most` cells, whose box of `photons` photons has `bytes` or a little less; why: the fit's report.  rays: those
+ * of a pilot of pilot_photons; fit: bounds and wishes, without cells.  Errors: as lmg_layout_fit and lmg_field_write (a temporary file). */
 lmg_result bake_size_choose(const lmg_ray *rays, size_t count, double pilot_photons, double photons, const lmg_fit_options *fit, double bytes,
-                            uint64_t most, bake_size *out, lmg_error *err);
+                            uint64_t most, lmg_layout *layout, char why[1024], bake_size *out, lmg_error *err);
 
 /* Bytes of a field's file, its cells rounded. */
 lmg_result bake_size_of(const lmg_field *field, double *bytes, lmg_error *err);

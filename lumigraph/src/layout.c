@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Fits a layout to pilot rays: one opening or six faces, each as layout_search.c finds it, and coarse slabs for what passes beside.
- * Everything is judged by one measure, blur.h's.
+ * Fits a layout to pilot rays: one opening, perhaps with a slab for a source that is seen directly, or six faces, each as
+ * layout_search.c finds it, and coarse slabs for what passes beside.  Everything is judged by layout_judge.h.
  */
 #include "field.h"
 #include "geometry.h"
@@ -16,6 +16,8 @@ static const double APERTURE_REST = 0.02;
 static const uint64_t DEFAULT_CELLS = 4000000;
 /* Six faces have to be this much better than one opening, which has the simpler cells: one rectangle, equal etendue. */
 static const double CUBE_GAIN = 0.8;
+/* A focus cuts into the cells below it, which makes them slower to measure: it has to gain this much. */
+static const double FOCUS_GAIN = 0.95;
 
 /* A cube slab through the middle of the bounds that holds every line of its class through the bounds. */
 static lmg_slab catch_all(int c, lmg_vec3 lo, lmg_vec3 hi, uint32_t resolution)
@@ -53,14 +55,76 @@ static void say(char *report, const char *format, ...)
 
 static void describe(char *report, const lmg_pilot *pl, const lmg_choice *c)
 {
-    lmg_slab s[2];
-    uint32_t n = lmg_choice_slabs(pl, c, s);
-    say(report, "%s: (u,v) %.4g x %.4g m at %.4g m, %u x %u x %u x %u cells", lmg_class_name(c->class), s[0].u1 - s[0].u0, s[0].v1 - s[0].v0,
-        c->depth, s[n - 1].nu, s[n - 1].nv, s[n - 1].ns, s[n - 1].nt);
-    if (n == 2)
-        say(report, "; beam window s %.3g..%.3g t %.3g..%.3g, %u x %u x %u x %u", s[0].s0, s[0].s1, s[0].t0, s[0].t1, s[0].nu, s[0].nv, s[0].ns,
-            s[0].nt);
+    lmg_slab slabs[LMG_CHOICE_SLABS];
+    uint32_t n = lmg_choice_slabs(pl, c, slabs);
+    const lmg_slab *main = &slabs[n - 1], *window = &slabs[n - 2];
+    if (c->focus)
+        say(report, "focus: (u,v) %.4g x %.4g m at %.4g %.4g %.4g m, %u x %u x %u x %u cells\n", slabs[0].u1 - slabs[0].u0, slabs[0].v1 - slabs[0].v0,
+            slabs[0].o.x, slabs[0].o.y, slabs[0].o.z, slabs[0].nu, slabs[0].nv, slabs[0].ns, slabs[0].nt);
+    say(report, "%s: (u,v) %.4g x %.4g m at %.4g m, %u x %u x %u x %u cells", lmg_class_name(c->class), main->u1 - main->u0, main->v1 - main->v0,
+        c->depth, main->nu, main->nv, main->ns, main->nt);
+    if (c->window)
+        say(report, "; beam window s %.3g..%.3g t %.3g..%.3g, %u x %u x %u x %u", window->s0, window->s1, window->t0, window->t1, window->nu,
+            window->nv, window->ns, window->nt);
     say(report, "\n");
+}
+
+static void tell_errors(char *report, const char *what, lmg_verdict v)
+{
+    say(report, "%sillumination %.2g %%, far field %.2g %%, radiance %.2g %%\n", what, 100 * sqrt(v.illuminance), 100 * sqrt(v.intensity),
+        100 * sqrt(v.radiance));
+}
+
+/* Cuts a focus in as many cells as radiance asks for: four times as many only if they keep so much more of it. */
+static double cut_focus(lmg_judge *judge, lmg_slab *focus, double most)
+{
+    static const double BIASES[] = {0.25, 1, 4}, WORTH = 0.005, LEAST = 200;
+    double error = INFINITY, cells = 0;
+    lmg_slab kept = *focus;
+    for (double n = LEAST; n <= most; n *= 4) {
+        double worth = cells > 0 ? WORTH / LMG_GOOD_RADIANCE / LMG_GOOD_RADIANCE : 0;
+        for (size_t k = 0; k < sizeof BIASES / sizeof *BIASES; k++) {
+            lmg_focus_cut(focus, n, BIASES[k]);
+            const lmg_verdict v = lmg_judge_slabs(judge, focus, 1, 0, true);
+            if (!(v.error < error - worth))
+                continue;
+            worth = 0;
+            error = v.error;
+            kept = *focus;
+            cells = n;
+        }
+        if (cells < n)
+            break;
+    }
+    *focus = kept;
+    return cells;
+}
+
+/* One opening, without and with a focus, which is kept if it is worth it. */
+static lmg_verdict search_opening(lmg_pilot *pl, lmg_judge *judge, lmg_choice *opening, lmg_slab *focus)
+{
+    static const double SHARE = 0.2;
+    const lmg_choice plain = *opening;
+    lmg_verdict without = lmg_choice_search(pl, judge, opening);
+    if (plain.fixed || !lmg_focus_find(pl, opening->class, focus))
+        return without;
+    for (size_t i = 0; i < pl->count; i++) {
+        double unused[4];
+        pl->taken[i] = lmg_slab_coordinates(focus, pl->origin[i], pl->direction[i], unused);
+    }
+    const double square = lmg_judge_square(judge);
+    lmg_choice with = plain;
+    with.focus = focus;
+    with.cells -= cut_focus(judge, focus, SHARE * plain.cells);
+    lmg_slab slabs[LMG_CHOICE_SLABS];
+    lmg_choice_search(pl, judge, &with);
+    lmg_judge_set_square(judge, fmax(square, lmg_judge_square(judge)));
+    const lmg_verdict v = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, &with, slabs), 0, false);
+    without = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, opening, slabs), 0, false);
+    if (!lmg_better(v, without, FOCUS_GAIN))
+        return without;
+    *opening = with;
+    return v;
 }
 
 lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_options *options, lmg_layout *out, char report[1024],
@@ -83,6 +147,8 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "layout: unknown choice %d", (int)options->choice);
     if (options->channels != 0 && options->channels != 1 && options->channels != 3)
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "layout: %u channels; 1 or 3 are possible", options->channels);
+    if (!(options->photons >= 0))
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "layout: %g photons; their number can't be negative", options->photons);
     if (!(options->distance >= 0))
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "layout: the distance %g m must be positive", options->distance);
     double cells = options->cells ? (double)options->cells : (double)DEFAULT_CELLS;
@@ -95,12 +161,14 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
     /* Flat bounds (a bare disc) get a thickness, so that lines in their plane have a way out and rounding doesn't put rays beside them. */
     double pad = 1e-6 * diagonal;
     lmg_pilot pl = {.lo = v_sub(lo, (lmg_vec3){pad, pad, pad}), .hi = v_add(hi, (lmg_vec3){pad, pad, pad})};
-    lmg_planes six[6] = {0};
+    lmg_judge *judge = NULL;
+    lmg_slab focus;
     lmg_result r = lmg_pilot_create(&pl, rays, count, err);
     if (r != LMG_OK) {
         lmg_pilot_destroy(&pl);
         return r;
     }
+    pl.photons = options->photons;
     float colour[3];
     bool grey = lmg_one_colour(rays, count, colour);
     out->channels = options->channels ? options->channels : grey ? 1 : 3;
@@ -137,21 +205,23 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
 
     const bool fixed = options->resolution[0] || options->resolution[1] || options->resolution[2] || options->resolution[3];
     lmg_choice plain = {.distance = options->distance > 0 ? options->distance : (double)INFINITY, .bias = 1, .window_bias = 1, .cells = cells,
-                    .fixed = fixed ? options->resolution : NULL};
-    for (int c = 0; c < 6; c++)
-        if (!lmg_planes_create(&six[c], &pl, c)) {
-            r = lmg_fail(err, LMG_ERROR_MEMORY, "layout: no memory");
-            goto cleanup;
-        }
-
+                        .fixed = fixed ? options->resolution : NULL, .fewer = options->fewer_cells && !fixed};
     lmg_choice aperture = plain;
     aperture.kind = LMG_SLAB_APERTURE;
     aperture.class = main_class;
-    lmg_verdict aperture_error = {INFINITY, 0}, cube_error = {INFINITY, 0};
-    if (try_aperture)
-        aperture_error = lmg_choice_search(&pl, &six[main_class], &aperture);
-    double through = try_aperture ? aperture.flux / pl.total : 0;
-
+    lmg_verdict aperture_error = {.error = INFINITY}, cube_error = {.error = INFINITY};
+    if (try_aperture) {
+        judge = lmg_judge_create(&pl, main_class, true);
+        if (!judge) {
+            r = lmg_fail(err, LMG_ERROR_MEMORY, "layout: no memory");
+            goto cleanup;
+        }
+        aperture_error = search_opening(&pl, judge, &aperture, &focus);
+    }
+    double through = 0;
+    for (size_t i = 0; i < pl.count && try_aperture; i++)
+        through += aperture.focus && pl.taken[i] ? pl.flux[i] / pl.total : 0;
+    through += try_aperture ? aperture.flux / pl.total : 0;
     lmg_choice cube[6];
     if (try_cube) {
         /* Cells to each face: the error of a face falls like its cells^(-1/4), so that the sum of flux x error is least for cells in
@@ -164,8 +234,15 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
             cube[c].kind = LMG_SLAB_CUBE;
             cube[c].class = c;
             cube[c].cells = fmax(cells * pow(class_flux[c] / pl.total, 0.8) / sum, 1);
-            if (class_flux[c] > 0)
-                lmg_choice_search(&pl, &six[c], &cube[c]);
+            if (!(class_flux[c] > 0))
+                continue;
+            lmg_judge *face = lmg_judge_create(&pl, c, false);
+            if (!face) {
+                r = lmg_fail(err, LMG_ERROR_MEMORY, "layout: no memory");
+                goto cleanup;
+            }
+            lmg_choice_search(&pl, face, &cube[c]);
+            lmg_judge_destroy(face);
         }
         /* judged where an opening would be judged */
         if (try_aperture) {
@@ -174,7 +251,7 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
             for (int c = 0; c < 6; c++)
                 if (class_flux[c] > 0)
                     n += lmg_choice_slabs(&pl, &cube[c], slabs + n);
-            cube_error = lmg_measure_blur(&pl, &six[main_class], slabs, n, -1);
+            cube_error = lmg_judge_slabs(judge, slabs, n, 0, false);
         }
     }
     bool use_aperture = options->choice == LMG_LAYOUT_APERTURE ||
@@ -204,27 +281,28 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
     if (use_aperture) {
         say(report, "aperture: %.2f %% of the flux passes one opening towards %s\n", 100 * through, lmg_class_name(main_class));
         describe(report, &pl, &aperture);
+        tell_errors(report, "foretold errors: ", aperture_error);
         if (isfinite(cube_error.error))
-            say(report, "blur of illuminance at 0.5 to 5 sizes %.2f %%, as six faces %.2f %%\n", 100 * sqrt(aperture_error.error),
-                100 * sqrt(cube_error.error));
+            tell_errors(report, "as six faces: ", cube_error);
     } else {
         say(report, "cube: ");
         if (try_aperture && through < 1 - APERTURE_REST)
             say(report, "only %.2f %% of the flux passes one opening towards %s\n", 100 * through, lmg_class_name(main_class));
-        else if (try_aperture)
-            say(report, "blur of illuminance %.2f %%, as one opening %.2f %%\n", 100 * sqrt(cube_error.error), 100 * sqrt(aperture_error.error));
         else
             say(report, "%.2f %% of the flux goes towards %s\n", 100 * forward[main_class] / pl.total, lmg_class_name(main_class));
         for (int c = 0; c < 6; c++)
             if (class_flux[c] > 0)
                 describe(report, &pl, &cube[c]);
+        if (try_aperture && through >= 1 - APERTURE_REST) {
+            tell_errors(report, "foretold errors: ", cube_error);
+            tell_errors(report, "as one opening: ", aperture_error);
+        }
     }
     say(report, "%.3f %% of the flux goes to the coarse slabs below; %s; size %.4g m\n", 100 * rest,
         out->channels == 1 ? "one colour" : "three channels", out->size);
     r = lmg_layout_check(out, err);
 cleanup:
-    for (int c = 0; c < 6; c++)
-        lmg_planes_destroy(&six[c]);
+    lmg_judge_destroy(judge);
     lmg_pilot_destroy(&pl);
     if (r != LMG_OK)
         *out = (lmg_layout){0};

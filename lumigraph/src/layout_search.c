@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
  * What is best for one direction: in turn where its (u,v) plane stands, which window in (s,t) holds the beam if there is one, how the cells
- * are shared out between (u,v) and (s,t) and between window and the rest.  Relies on blur.h, which judges.
+ * are shared out between (u,v) and (s,t) and between window and the rest, and whether fewer of them would do better.  Before that, whether
+ * light comes from a small place that deserves a slab of its own.  Relies on layout_judge.h.
  */
 #include "layout_search.h"
 
@@ -19,6 +20,12 @@ static const double OUTERMOST = 16, UNDISCOVERED = 0.05;
 static const double GAIN = 0.97;
 /* A window has to promise less than this part of the error without it. */
 static const double WINDOW_WORTH = 0.8;
+/* So much more concentrated has a focus to be than the light of the whole opening. */
+static const double FOCUS_WORTH = 4;
+/* Fewer cells for one direction aren't tried. */
+static const double FEWEST = 1000;
+/* For finding where light is narrow every so many-th ray will do; odd, so that both halves are among them. */
+enum { SCAN = 5 };
 /* Narrowest (u,v) rectangle, in sizes: light from a point gets a place whose radiance is finite and that no receiver tells from a point. */
 static const double NARROWEST = 1e-3;
 
@@ -43,8 +50,11 @@ static lmg_slab frame_of(const lmg_pilot *pl, const lmg_choice *c)
     s.o = v_fma(mid, c->depth - v_dot(mid, s.n), s.n);
     return s;
 }
-uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out[2])
+uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out[LMG_CHOICE_SLABS])
 {
+    uint32_t count = 0;
+    if (c->focus)
+        out[count++] = *c->focus;
     lmg_slab main = frame_of(pl, c);
     main.u0 = c->rect[0];
     main.u1 = c->rect[1];
@@ -67,8 +77,8 @@ uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out
         main.nt = c->fixed[3] ? c->fixed[3] : main.nt;
     }
     if (!c->window) {
-        out[0] = main;
-        return 1;
+        out[count++] = main;
+        return count;
     }
     /* The window's borders are borders of the main slab's cells, so that no cell of that is partly covered: among resolutions about the wanted
      * one, that whose borders lie closest around the beam. */
@@ -101,21 +111,24 @@ uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out
     cells = c->cells * c->share;
     cut(sqrt(cells) * c->window_bias, w, h, &window.nu, &window.nv);
     cut(cells / ((double)window.nu * window.nv), window.s1 - window.s0, window.t1 - window.t0, &window.ns, &window.nt);
-    out[0] = window;
-    out[1] = main;
-    return 2;
+    out[count++] = window;
+    out[count++] = main;
+    return count;
 }
 
-static lmg_verdict judge(const lmg_pilot *pl, lmg_planes *p, const lmg_choice *c)
+/* wanted_flux: of the rays that the choice is for; what of it lies beside its rectangle is taken as if it were all wrong. */
+static lmg_verdict judge_choice(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice *c, double wanted_flux, bool by_radiance)
 {
-    lmg_slab slabs[2];
+    lmg_slab slabs[LMG_CHOICE_SLABS];
     uint32_t n = lmg_choice_slabs(pl, c, slabs);
-    return lmg_measure_blur(pl, p, slabs, n, c->kind == LMG_SLAB_CUBE ? c->class : -1);
+    return lmg_judge_slabs(judge, slabs, n, fmax(wanted_flux - c->flux, 0), by_radiance);
 }
 
 /* Whether a ray is one that the choice's slab is for. */
 static bool belongs(const lmg_pilot *pl, size_t i, const lmg_choice *c, lmg_vec3 n)
 {
+    if (c->focus && pl->taken[i])
+        return false;
     return c->kind == LMG_SLAB_CUBE ? pl->class[i] == c->class : v_dot(pl->direction[i], n) > 0;
 }
 
@@ -130,8 +143,8 @@ static double undiscovered(double gap, double width)
     return d_clamp(1.5 * gap / (cbrt(OUTERMOST) - 1), 0, UNDISCOVERED * width);
 }
 
-/* Fits the (u,v) rectangle at the choice's depth; false when there is no light. */
-static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
+/* Fits the (u,v) rectangle at the choice's depth, to every stride-th ray; false when there is no light. */
+static bool fit_rectangle_to(const lmg_pilot *pl, lmg_choice *c, size_t stride)
 {
     lmg_slab s = frame_of(pl, c);
     lmg_vec3 half = v_scale(0.5, v_sub(pl->hi, pl->lo));
@@ -140,7 +153,7 @@ static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
     c->spread = 1;
     for (int axis = 0; axis < 2; axis++) {
         size_t n = 0;
-        for (size_t i = 0; i < pl->count; i++) {
+        for (size_t i = 0; i < pl->count; i += stride) {
             double u, v, dn = v_dot(pl->direction[i], s.n);
             if (!belongs(pl, i, c, s.n))
                 continue;
@@ -151,7 +164,7 @@ static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
         if (!n)
             return false;
         bool faces = c->kind == LMG_SLAB_CUBE;
-        lmg_interval q = lmg_quantiles(pl->x, pl->w, n, RECTANGLE_TAIL), outer = faces ? lmg_quantiles(pl->x, pl->w, n, OUTERMOST / (double)n) : q;
+        lmg_interval q = lmg_quantiles(pl->x, pl->w, n, RECTANGLE_TAIL), outer = faces && stride == 1 ? lmg_quantiles(pl->x, pl->w, n, OUTERMOST / (double)n) : q;
         /* Light with an edge: the outermost of all rays is where its edge is, and is taken.  Light that thins out: the quantile. */
         double width = q.hi - q.lo, lo = q.lo, hi = q.hi;
         if (q.least >= q.lo - 0.02 * width)
@@ -186,26 +199,18 @@ static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
     return true;
 }
 
-/* What a choice costs: its measure, and the flux beside its rectangle as if that were all wrong. */
-static lmg_verdict cost(const lmg_pilot *pl, lmg_planes *p, lmg_choice *c, double wanted_flux)
+static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
 {
-    if (!fit_rectangle(pl, c))
-        return (lmg_verdict){INFINITY, 0};
-    double beside = fmax(wanted_flux - c->flux, 0) / pl->total;
-    lmg_verdict v = judge(pl, p, c);
-    v.error += beside * beside;
-    return v;
+    return fit_rectangle_to(pl, c, 1);
 }
 
-/* Depth of the (u,v) plane between lo and hi.  First where the light is narrowest, least area of the rectangle; then wherever else the
- * cells do clearly less harm. */
-static void search_depth(const lmg_pilot *pl, lmg_planes *p, lmg_choice *c, double wanted_flux, double lo, double hi, int steps)
+/* Depth of the (u,v) plane between lo and hi where the light is narrowest: least area of the rectangle. */
+static void narrowest_depth(const lmg_pilot *pl, lmg_choice *c, double lo, double hi, int steps)
 {
-    double least = INFINITY, at = 0.5 * (lo + hi);
-    double step = (hi - lo) / steps;
+    double least = INFINITY, at = 0.5 * (lo + hi), step = (hi - lo) / steps;
     for (int k = 0; k <= steps; k++) {
         c->depth = lo + step * k;
-        double area = fit_rectangle(pl, c) ? c->spread : (double)INFINITY;
+        double area = fit_rectangle_to(pl, c, SCAN) ? c->spread : (double)INFINITY;
         if (area < least) {
             least = area;
             at = c->depth;
@@ -216,7 +221,7 @@ static void search_depth(const lmg_pilot *pl, lmg_planes *p, lmg_choice *c, doub
         double centre = at;
         for (int side = -1; side <= 1; side += 2) {
             c->depth = d_clamp(centre + side * step, lo, hi);
-            double area = fit_rectangle(pl, c) ? c->spread : (double)INFINITY;
+            double area = fit_rectangle_to(pl, c, SCAN) ? c->spread : (double)INFINITY;
             if (area < least) {
                 least = area;
                 at = c->depth;
@@ -224,13 +229,27 @@ static void search_depth(const lmg_pilot *pl, lmg_planes *p, lmg_choice *c, doub
         }
     }
     c->depth = at;
-    lmg_verdict best = cost(pl, p, c, wanted_flux);
-    step = (hi - lo) / steps;
+    fit_rectangle(pl, c);
+}
+
+/* Fits the rectangle, and judges by radiance: a plane that is good for that is good for what falls on planes near and far. */
+static lmg_verdict cost(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted_flux)
+{
+    return fit_rectangle_to(pl, c, SCAN) ? judge_choice(pl, judge, c, wanted_flux, true) : (lmg_verdict){.error = INFINITY};
+}
+
+/* From the depth that the choice has to wherever else its cells do clearly less harm. */
+static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted_flux, double lo, double hi, int steps)
+{
+    double at = c->depth, step = (hi - lo) / steps;
+    lmg_verdict best = cost(pl, judge, c, wanted_flux);
     for (int round = 0; round < 3; round++, step *= 0.3) {
         double centre = at;
         for (int k = round ? -1 : 0; k <= (round ? 1 : steps); k++) {
+            if (round && k == 0)
+                continue;
             c->depth = round ? d_clamp(centre + k * step, lo, hi) : lo + step * k;
-            lmg_verdict e = cost(pl, p, c, wanted_flux);
+            lmg_verdict e = cost(pl, judge, c, wanted_flux);
             if (lmg_better(e, best, GAIN)) {
                 best = e;
                 at = c->depth;
@@ -248,12 +267,13 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
 {
     lmg_slab s = frame_of(pl, c);
     static const int AREA_PER_LEVEL = 16;
+    static const double STRAY = 0.002; /* of the light, in a strip: nothing to keep it for, and mostly chance */
     double r[4] = {-1, 1, -1, 1}, total = 0;
     double *histogram = malloc(BINS * BINS * sizeof *histogram);
     int count = 0;
     for (int level = 0; histogram && level < 4; level++) {
         memset(histogram, 0, BINS * BINS * sizeof *histogram);
-        double inside = 0;
+        double inside = 0, mean[2] = {0};
         for (size_t i = 0; i < pl->count; i++) {
             if (!belongs(pl, i, c, s.n))
                 continue;
@@ -263,6 +283,8 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
             if (x >= 0 && x < BINS && y >= 0 && y < BINS) {
                 histogram[y * BINS + x] += pl->flux[i];
                 inside += pl->flux[i];
+                mean[0] += pl->flux[i] * (x + 0.5);
+                mean[1] += pl->flux[i] * (y + 0.5);
             }
         }
         if (level == 0)
@@ -283,9 +305,11 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
             }
             int least = 0;
             for (int k = 0; k < 4; k++) {
-                /* by density; of about equals that of the longer direction, so that the rectangle doesn't turn into a stripe */
-                double strip = k < 2 ? y1 - y0 : x1 - x0, across = k < 2 ? x1 - x0 : y1 - y0;
-                side[k] /= strip * across * across;
+                /* by density; of about equals that of the longer direction, so that the rectangle doesn't turn into a stripe, and that which
+                 * is farther from the middle of the light */
+                double strip = k < 2 ? y1 - y0 : x1 - x0, across = k < 2 ? x1 - x0 : y1 - y0, middle = mean[k / 2] / inside;
+                double away = fmax(k == 0 ? middle - x0 : k == 1 ? x1 - middle : k == 2 ? middle - y0 : y1 - middle, 1);
+                side[k] = (side[k] + STRAY * inside) / (strip * across * across * away * away);
                 least = side[k] < side[least] ? k : least;
             }
             x0 += least == 0;
@@ -313,92 +337,250 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
     return count;
 }
 
-/* Window or none, then how the cells are shared out. */
-static lmg_verdict search_cells(const lmg_pilot *pl, lmg_planes *p, lmg_choice *c, lmg_verdict best)
+/* How the cells are shared out: between (u,v) and (s,t), for the window too, and between window and the rest. */
+static lmg_verdict share_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted, lmg_verdict best)
 {
-    bool may_window = !(c->fixed && (c->fixed[2] || c->fixed[3])) && (c->kind == LMG_SLAB_APERTURE || isinf(c->distance));
-    if (may_window) {
-        /*
-         * Which window: by a model, because the measure's noise hides small differences.  A slab's part in the error goes with its flux
-         * and with the fourth root of its cells' etendue; the measure has a veto.
-         */
-        double rects[MAX_NESTED][4], shares_of_flux[MAX_NESTED];
-        int n = nested(pl, c, rects, shares_of_flux);
-        lmg_choice kept = *c;
-        double least = WINDOW_WORTH;
-        for (int k = 0; k < n; k++) {
-            lmg_choice t = *c;
-            t.window = true;
-            t.share = 0.6;
-            memcpy(t.st, rects[k], sizeof t.st);
-            double part = 0.25 * (rects[k][1] - rects[k][0]) * (rects[k][3] - rects[k][2]), phi = shares_of_flux[k];
-            double model = phi * pow(part / t.share, 0.25) + (1 - phi) * pow(1 / (1 - t.share), 0.25);
-            if (model >= least)
-                continue;
-            lmg_verdict e = judge(pl, p, &t);
-            if (lmg_better(best, e, 1) || (kept.window && best.error < e.error - 2 * e.se))
-                continue;
-            least = model;
-            best = e;
-            kept = t;
-        }
-        *c = kept;
-    }
     static const double biases[] = {0.25, 0.5, 2, 4}, shares[] = {0.35, 0.5, 0.75, 0.87};
     for (int round = 0; round < 2; round++) {
-        lmg_choice kept = *c;
-        for (int k = 0; k < 4; k++) {
-            lmg_choice t = kept;
-            t.bias = c->bias * biases[k];
-            lmg_verdict e = judge(pl, p, &t);
-            if (t.bias > 0.05 && t.bias < 20 && lmg_better(e, best, GAIN)) {
-                best = e;
-                *c = t;
+        const lmg_choice before = *c;
+        for (int what = 0; what < 3; what++) {
+            if (what && !c->window)
+                break;
+            const lmg_choice kept = *c;
+            for (int k = 0; k < 4; k++) {
+                lmg_choice t = kept;
+                double *bias = what == 0 ? &t.bias : &t.window_bias;
+                if (what == 2)
+                    t.share = shares[k];
+                else
+                    *bias *= biases[k];
+                if (what < 2 && (*bias < 0.05 || *bias > 20))
+                    continue;
+                lmg_verdict e = judge_choice(pl, judge, &t, wanted, false);
+                if (lmg_better(e, best, GAIN)) {
+                    best = e;
+                    *c = t;
+                }
             }
         }
-        if (!c->window)
+        if (before.bias == c->bias && before.window_bias == c->window_bias && before.share == c->share)
             break;
-        kept = *c;
-        for (int k = 0; k < 4; k++) {
-            lmg_choice t = kept;
-            t.window_bias = kept.window_bias * biases[k];
-            lmg_verdict e = judge(pl, p, &t);
-            if (t.window_bias > 0.05 && t.window_bias < 20 && lmg_better(e, best, GAIN)) {
-                best = e;
-                *c = t;
-            }
-        }
-        kept = *c;
-        for (int k = 0; k < 4; k++) {
-            lmg_choice t = kept;
-            t.share = shares[k];
-            lmg_verdict e = judge(pl, p, &t);
-            if (lmg_better(e, best, GAIN)) {
-                best = e;
-                *c = t;
-            }
-        }
     }
     return best;
 }
-lmg_verdict lmg_choice_search(const lmg_pilot *pl, lmg_planes *p, lmg_choice *c)
+
+/* Fewer cells, if that may be, where their noise costs more than they are worth. */
+static lmg_verdict fewer_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted, lmg_verdict best)
+{
+    for (lmg_choice t = *c; c->fewer && t.cells > FEWEST;) {
+        t.cells *= 0.5;
+        const lmg_verdict e = judge_choice(pl, judge, &t, wanted, false);
+        if (e.error >= best.error)
+            continue;
+        best = e;
+        *c = t;
+    }
+    return best;
+}
+
+/* Window or none: each that nested() finds, with cells shared out evenly, and, if there may be fewer, with a few numbers of them: a narrow
+ * window is worth it with fewer cells than a wide one. */
+static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted, lmg_verdict best)
+{
+    double rects[MAX_NESTED][4], shares_of_flux[MAX_NESTED], gain = WINDOW_WORTH;
+    const int n = nested(pl, c, rects, shares_of_flux);
+    lmg_choice kept = *c;
+    for (int k = 0; k < n; k++)
+        for (int fewer = 0; fewer < (c->fewer ? 3 : 1); fewer++) {
+            lmg_choice t = *c;
+            t.window = true;
+            t.share = 0.6;
+            t.cells = fmax(c->cells * pow(5, -fewer), FEWEST);
+            t.window_bias = fmax(c->bias, 0.25);
+            memcpy(t.st, rects[k], sizeof t.st);
+            lmg_verdict e = judge_choice(pl, judge, &t, wanted, false);
+            if (!lmg_better(e, best, gain))
+                continue;
+            gain = GAIN; /* any window is that much worth; a better one less */
+            best = e;
+            kept = t;
+        }
+    *c = kept;
+    return best;
+}
+
+/*
+ * What the light has of squared radiance, without end of cells: the error of ever finer cells falls like their width where light has
+ * edges, hence like the fourth root of their number, and two of them tell where it leads.
+ */
+static double square_of(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice *c)
+{
+    enum { RUNGS = 6, STEP = 16 };
+    static const double ENOUGH_PAIRS = 1000, COARSEST = 20000;
+    double before = 0, most = 0, end = 0;
+    lmg_choice t = *c;
+    t.cells = COARSEST;
+    t.fixed = NULL;
+    for (int k = 0; k < RUNGS; k++, t.cells *= STEP) {
+        lmg_slab slabs[LMG_CHOICE_SLABS];
+        double pairs, kept = lmg_judge_kept(judge, slabs, lmg_choice_slabs(pl, &t, slabs), &pairs);
+        if (k && pairs < ENOUGH_PAIRS)
+            break;
+        end = k ? 2 * kept - before : kept;
+        before = kept;
+        most = fmax(most, kept);
+    }
+    return fmax(end, most);
+}
+
+lmg_verdict lmg_choice_search(lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
 {
     lmg_vec3 a, b, n, mid = v_scale(0.5, v_add(pl->lo, pl->hi)), half = v_scale(0.5, v_sub(pl->hi, pl->lo));
     lmg_class_frame(c->class, &a, &b, &n);
     double wanted = 0, centre = v_dot(mid, n), depth = fabs(v_dot(half, n));
     for (size_t i = 0; i < pl->count; i++)
         wanted += belongs(pl, i, c, n) ? pl->flux[i] : 0;
-    search_depth(pl, p, c, wanted, centre - depth, centre + depth, 16);
-    lmg_verdict best = search_cells(pl, p, c, judge(pl, p, c));
+    narrowest_depth(pl, c, centre - depth, centre + depth, 16);
+    lmg_judge_set_square(judge, square_of(pl, judge, c));
+    /* where planes stand is a matter of sharpness: noise would have them where cells are large */
+    const double photons = pl->photons;
+    pl->photons = 0;
+    search_depth(pl, judge, c, wanted, centre - depth, centre + depth, 16);
+    pl->photons = photons;
+    lmg_verdict best = fewer_cells(pl, judge, c, wanted, judge_choice(pl, judge, c, wanted, false));
+    best = share_cells(pl, judge, c, wanted, best);
+    bool may_window = !(c->fixed && (c->fixed[2] || c->fixed[3])) && (c->kind == LMG_SLAB_APERTURE || isinf(c->distance));
+    if (may_window)
+        best = search_window(pl, judge, c, wanted, best);
     if (c->window) {
         /* the window has changed what counts: look at the depth once more */
-        lmg_choice t = *c;
-        search_depth(pl, p, &t, wanted, centre - depth, centre + depth, 12);
-        lmg_verdict e = judge(pl, p, &t);
-        if (lmg_better(e, best, GAIN)) {
-            *c = t;
-            best = e;
-        }
+        pl->photons = 0;
+        search_depth(pl, judge, c, wanted, centre - depth, centre + depth, 12);
+        pl->photons = photons;
+        best = share_cells(pl, judge, c, wanted, judge_choice(pl, judge, c, wanted, false));
+        best = fewer_cells(pl, judge, c, wanted, best);
     }
     return best;
+}
+
+/* --------------------------------------------------------------------------------------------------------------- focus */
+
+void lmg_focus_cut(lmg_slab *focus, double cells, double bias)
+{
+    cut(sqrt(cells) * bias, focus->u1 - focus->u0, focus->v1 - focus->v0, &focus->nu, &focus->nv);
+    cut(cells / ((double)focus->nu * focus->nv), 1, 1, &focus->ns, &focus->nt);
+}
+
+/* Where most rays cross, by histograms zoomed into their fullest bin and its neighbours: (u,v) of its middle. */
+static void densest(const double *u, const double *v, const double *w, size_t n, double u0, double u1, double v0, double v1, double at[2])
+{
+    enum { SIDE = 32, ZOOMS = 3 };
+    for (int zoom = 0; zoom < ZOOMS; zoom++) {
+        double bins[SIDE * SIDE] = {0}, du = (u1 - u0) / SIDE, dv = (v1 - v0) / SIDE;
+        for (size_t i = 0; i < n; i++) {
+            double x = (u[i] - u0) / du, y = (v[i] - v0) / dv;
+            if (x >= 0 && x < SIDE && y >= 0 && y < SIDE)
+                bins[(int)y * SIDE + (int)x] += w[i];
+        }
+        int most = 0;
+        for (int k = 1; k < SIDE * SIDE; k++)
+            most = bins[k] > bins[most] ? k : most;
+        at[0] = u0 + (most % SIDE + 0.5) * du;
+        at[1] = v0 + (most / SIDE + 0.5) * dv;
+        u0 = at[0] - 3 * du;
+        u1 = at[0] + 3 * du;
+        v0 = at[1] - 3 * dv;
+        v1 = at[1] + 3 * dv;
+    }
+}
+
+typedef struct crossing {
+    double r, w; /* how far from the densest place, flux */
+} crossing;
+
+static int compare_crossings(const void *x, const void *y)
+{
+    const double a = ((const crossing *)x)->r, b = ((const crossing *)y)->r;
+    return (a > b) - (a < b);
+}
+
+/* Scratch of the search for a focus. */
+typedef struct crossings {
+    double *u, *v, *w;
+    crossing *sorted;
+} crossings;
+
+/* How concentrated the light is at a depth: the largest (share of flux)^2 / (area), over squares around the densest place, in units of
+ * what the whole opening has; that square. */
+static double concentration(const lmg_pilot *pl, const lmg_slab *frame, const crossings *x, double rect[4])
+{
+    static const double LEAST_SHARE = 0.05;
+    size_t n = 0;
+    double total = 0;
+    for (size_t i = 0; i < pl->count; i += SCAN) {
+        double dn = v_dot(pl->direction[i], frame->n);
+        if (!(dn > 0))
+            continue;
+        lmg_slab_crossing(frame, pl->origin[i], pl->direction[i], dn, &x->u[n], &x->v[n]);
+        total += x->w[n++] = pl->flux[i];
+    }
+    lmg_vec3 half = v_scale(0.5, v_sub(pl->hi, pl->lo));
+    const double hu = fabs(v_dot(half, frame->a)), hv = fabs(v_dot(half, frame->b));
+    double at[2], best = 0, sum = 0;
+    densest(x->u, x->v, x->w, n, -hu, hu, -hv, hv, at);
+    for (size_t i = 0; i < n; i++)
+        x->sorted[i] = (crossing){fmax(fabs(x->u[i] - at[0]), fabs(x->v[i] - at[1])), x->w[i]};
+    qsort(x->sorted, n, sizeof *x->sorted, compare_crossings);
+    for (size_t i = 0; i < n; i++) {
+        sum += x->sorted[i].w;
+        if (sum < LEAST_SHARE * total)
+            continue;
+        const double r = fmax(x->sorted[i].r, 0.5 * NARROWEST * pl->size), gain = sum * sum * hu * hv / (total * total * r * r);
+        if (gain <= best)
+            continue;
+        best = gain;
+        rect[0] = fmax(at[0] - r, -hu);
+        rect[1] = fmin(at[0] + r, hu);
+        rect[2] = fmax(at[1] - r, -hv);
+        rect[3] = fmin(at[1] + r, hv);
+    }
+    return best;
+}
+
+bool lmg_focus_find(const lmg_pilot *pl, int c, lmg_slab *out)
+{
+    enum { DEPTHS = 24, ROUNDS = 3 };
+    const lmg_choice choice = {.kind = LMG_SLAB_APERTURE, .class = c};
+    const crossings x = {malloc(pl->count * sizeof *x.u), malloc(pl->count * sizeof *x.v), malloc(pl->count * sizeof *x.w),
+                         malloc(pl->count * sizeof *x.sorted)};
+    double best = 0;
+    lmg_vec3 mid = v_scale(0.5, v_add(pl->lo, pl->hi)), half = v_scale(0.5, v_sub(pl->hi, pl->lo));
+    *out = frame_of(pl, &choice);
+    const double reach = fabs(v_dot(half, out->n)), middle = v_dot(mid, out->n);
+    double at = 0, step = 2 * reach / DEPTHS;
+    for (int round = 0; x.u && x.v && x.w && x.sorted && round < ROUNDS; round++, step *= 0.25) {
+        const double centre = at;
+        for (int k = round ? -3 : -DEPTHS / 2; k <= (round ? 3 : DEPTHS / 2); k++) {
+            lmg_choice here = choice;
+            here.depth = middle + d_clamp(centre + k * step, -reach, reach);
+            lmg_slab s = frame_of(pl, &here);
+            double rect[4] = {0};
+            const double gain = concentration(pl, &s, &x, rect);
+            if (gain <= best || !(rect[1] > rect[0] && rect[3] > rect[2]))
+                continue;
+            best = gain;
+            at = here.depth - middle;
+            *out = s;
+            out->u0 = rect[0];
+            out->u1 = rect[1];
+            out->v0 = rect[2];
+            out->v1 = rect[3];
+        }
+    }
+    free(x.u);
+    free(x.v);
+    free(x.w);
+    free(x.sorted);
+    out->nu = out->nv = out->ns = out->nt = 1;
+    return best > FOCUS_WORTH;
 }

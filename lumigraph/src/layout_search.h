@@ -3,7 +3,7 @@
 #ifndef LUMIGRAPH_LAYOUT_SEARCH_H
 #define LUMIGRAPH_LAYOUT_SEARCH_H
 
-#include "blur.h"
+#include "layout_judge.h"
 
 /* What the search decides for one direction. */
 typedef struct lmg_choice {
@@ -19,13 +19,24 @@ typedef struct lmg_choice {
     double cells;
     double flux;           /* in the rectangle, in units of the pilot */
     double spread;         /* area of the rectangle that the light would need, were it not kept within the bounds */
+    const lmg_slab *focus; /* of higher priority than all of these; NULL: none */
     const uint32_t *fixed; /* resolution asked for; NULL or zeros: chosen */
+    bool fewer;            /* fewer cells may be taken where photons are few */
 } lmg_choice;
 
-/* The slabs of a choice: the window, if any, before the main slab.  Returns their number. */
-uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out[2]);
+enum { LMG_CHOICE_SLABS = 3 };
+
+/* The slabs of a choice: its focus and the window, if any, before the main slab.  Returns their number. */
+uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out[LMG_CHOICE_SLABS]);
 
 /* Everything about one direction. */
-lmg_verdict lmg_choice_search(const lmg_pilot *pl, lmg_planes *p, lmg_choice *c);
+lmg_verdict lmg_choice_search(lmg_pilot *pl, lmg_judge *judge, lmg_choice *c);
+
+/* Where much of the light that goes towards class c passes through a small place inside the bounds, such as a source that is seen
+ * directly: an aperture slab on that place, with one cell.  False: nowhere. */
+bool lmg_focus_find(const lmg_pilot *pl, int c, lmg_slab *out);
+
+/* Cuts a focus in about so many cells; bias: of (u,v) over (s,t), as in a choice. */
+void lmg_focus_cut(lmg_slab *focus, double cells, double bias);
 
 #endif

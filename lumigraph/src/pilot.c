@@ -8,7 +8,7 @@
 #include <string.h>
 
 /* Pilot rays that the search looks at; more don't change its choices, they only take time. */
-enum { SEARCH_RAYS = 50000 };
+enum { SEARCH_RAYS = 100000 };
 
 void lmg_class_frame(int c, lmg_vec3 *a, lmg_vec3 *b, lmg_vec3 *n)
 {
@@ -70,6 +70,7 @@ void lmg_pilot_destroy(lmg_pilot *pl)
     free(pl->flux);
     free(pl->half);
     free(pl->class);
+    free(pl->taken);
     free(pl->jitter);
     free(pl->x);
     free(pl->w);
@@ -109,10 +110,11 @@ lmg_result lmg_pilot_create(lmg_pilot *pl, const lmg_ray *rays, size_t count, lm
     pl->flux = malloc(room * sizeof *pl->flux);
     pl->half = malloc(room);
     pl->class = malloc(room);
+    pl->taken = calloc(room, sizeof *pl->taken);
     pl->jitter = malloc(room * sizeof *pl->jitter);
     pl->x = malloc(room * sizeof *pl->x);
     pl->w = malloc(room * sizeof *pl->w);
-    if (!pl->origin || !pl->direction || !pl->flux || !pl->half || !pl->class || !pl->jitter || !pl->x || !pl->w)
+    if (!pl->origin || !pl->direction || !pl->flux || !pl->half || !pl->class || !pl->taken || !pl->jitter || !pl->x || !pl->w)
         return lmg_fail(err, LMG_ERROR_MEMORY, "layout: no memory for %zu pilot rays", room);
     for (size_t i = 0, k = 0; i < count; i++) {
         if (!usable(&rays[i]) || k++ % stride)

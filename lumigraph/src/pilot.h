@@ -10,9 +10,11 @@ typedef struct lmg_pilot {
     lmg_vec3 *origin, *direction;
     double *flux;      /* luminance */
     uint8_t *half, *class;
+    bool *taken;       /* whether a focus has the ray, so that no other slab needs to be good for it */
     float (*jitter)[4];
     double *x, *w; /* scratch */
     double total;
+    double photons;    /* rays that the box will be made of; 0: infinitely many */
     lmg_vec3 lo, hi;             /* the layout's bounds */
     lmg_vec3 light_lo, light_hi; /* holds 99 % of the light's origins */
     double size;                 /* of the luminous opening, for the planes */

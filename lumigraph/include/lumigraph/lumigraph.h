@@ -150,6 +150,8 @@ typedef struct lmg_fit_options {
     size_t struct_size;
     lmg_layout_choice choice;
     uint64_t cells;       /* total number of cells to aim at; 0 = 4 million */
+    bool fewer_cells;     /* take fewer where so many would hold too few photons each */
+    double photons;       /* rays that the cells will be filled with, so that their noise counts; 0 = so many that it doesn't */
     uint32_t channels;    /* 1 or 3; 0 = measured from the rays (1 if all have one colour) */
     double distance;      /* D of cube slabs; 0 = INFINITY */
     uint32_t resolution[4]; /* nu,nv,ns,nt per main slab, each 0 = chosen */
