@@ -121,7 +121,7 @@ static lmg_verdict search_opening(lmg_pilot *pl, lmg_judge *judge, lmg_choice *o
     lmg_judge_set_square(judge, fmax(square, lmg_judge_square(judge)));
     const lmg_verdict v = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, &with, slabs), 0, false);
     without = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, opening, slabs), 0, false);
-    if (!lmg_better(v, without, FOCUS_GAIN))
+    if (!lmg_better(v, without, FOCUS_GAIN, LMG_LIKELY))
         return without;
     *opening = with;
     return v;
@@ -255,7 +255,7 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
         }
     }
     bool use_aperture = options->choice == LMG_LAYOUT_APERTURE ||
-                        (try_aperture && through >= 1 - APERTURE_REST && !lmg_better(cube_error, aperture_error, CUBE_GAIN));
+                        (try_aperture && through >= 1 - APERTURE_REST && !lmg_better(cube_error, aperture_error, CUBE_GAIN, LMG_CERTAIN));
 
     double beside[6] = {0};
     if (use_aperture) {

@@ -27,8 +27,6 @@ static const double PLANE_DISTANCE[LMG_JUDGE_PLANES] = {0.5, 1, 2, 5};
 static const double BEAM_TAIL = 0.1, BEAM_MARGIN = 0.5;
 /* Rays are dealt with in so many parts, whatever the number of processors, so that sums of floats are always the same. */
 enum { SIDE = 24, PARTS = 8 };
-/* Candidates have the rays, and most of what chance does to them, in common: their difference is known better than either. */
-static const double DIFFERENCE = 0.5;
 
 typedef struct receiver {
     double reach;             /* of a plane; unused for directions */
@@ -94,7 +92,7 @@ static void pixels_of(const lmg_judge *q, lmg_vec3 o, lmg_vec3 d, int out[LMG_JU
     const bool forward = v_dot(d, q->n) > 0;
     double square[2] = {0};
     if (forward)
-        lmg_disc_to_square(v_dot(d, q->a), v_dot(d, q->b), &square[0], &square[1]);
+        lmg_cone_to_square(v_dot(d, q->a), v_dot(d, q->b), 1, &square[0], &square[1]);
     for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++)
         out[k] = forward ? pixel_of(q, k, o, d, square) : -1;
 }
@@ -109,7 +107,7 @@ static bool set_directions(lmg_judge *q)
     size_t n = 0;
     for (size_t i = 0; x && y && w && i < pl->count; i++)
         if (v_dot(pl->direction[i], q->n) > 0) {
-            lmg_disc_to_square(v_dot(pl->direction[i], q->a), v_dot(pl->direction[i], q->b), &x[n], &y[n]);
+            lmg_cone_to_square(v_dot(pl->direction[i], q->a), v_dot(pl->direction[i], q->b), 1, &x[n], &y[n]);
             w[n++] = pl->flux[i];
         }
     const bool there = x && y && w;
@@ -203,9 +201,9 @@ double lmg_judge_square(const lmg_judge *q)
     return q->square;
 }
 
-bool lmg_better(lmg_verdict x, lmg_verdict than, double gain)
+bool lmg_better(lmg_verdict x, lmg_verdict than, double gain, double standard_errors)
 {
-    return x.error < than.error * gain && than.error - x.error > DIFFERENCE * fmax(x.se, than.se);
+    return x.error < than.error * gain && than.error - x.error > standard_errors * fmax(x.se, than.se);
 }
 
 /* A ray's cell, and what moving within it changes. */

@@ -28,8 +28,11 @@ typedef struct lmg_verdict {
 lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all);
 void lmg_judge_destroy(lmg_judge *judge); /* accepts NULL */
 
-/* Whether x is below gain x than, by more than chance. */
-bool lmg_better(lmg_verdict x, lmg_verdict than, double gain);
+/* Whether x is below gain x than, by so many standard errors.  Candidates have the rays, and most of what chance does to them, in common: half
+ * a standard error will do between numbers of cells, two are for what would better stay as it is. */
+bool lmg_better(lmg_verdict x, lmg_verdict than, double gain, double standard_errors);
+#define LMG_LIKELY 0.5
+#define LMG_CERTAIN 2.0
 
 /* What the slabs' cells do to the light.  beside: flux, in units of the pilot's, that is as good as lost.  by_radiance: judges that alone,
  * for a fifth of the time. */

@@ -250,7 +250,7 @@ static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, d
                 continue;
             c->depth = round ? d_clamp(centre + k * step, lo, hi) : lo + step * k;
             lmg_verdict e = cost(pl, judge, c, wanted_flux);
-            if (lmg_better(e, best, GAIN)) {
+            if (lmg_better(e, best, GAIN, LMG_CERTAIN)) {
                 best = e;
                 at = c->depth;
             }
@@ -357,7 +357,7 @@ static lmg_verdict share_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
                 if (what < 2 && (*bias < 0.05 || *bias > 20))
                     continue;
                 lmg_verdict e = judge_choice(pl, judge, &t, wanted, false);
-                if (lmg_better(e, best, GAIN)) {
+                if (lmg_better(e, best, GAIN, LMG_LIKELY)) {
                     best = e;
                     *c = t;
                 }
@@ -399,7 +399,7 @@ static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choi
             t.window_bias = fmax(c->bias, 0.25);
             memcpy(t.st, rects[k], sizeof t.st);
             lmg_verdict e = judge_choice(pl, judge, &t, wanted, false);
-            if (!lmg_better(e, best, gain))
+            if (!lmg_better(e, best, gain, LMG_LIKELY))
                 continue;
             gain = GAIN; /* any window is that much worth; a better one less */
             best = e;

@@ -36,8 +36,8 @@ static void test_size(void **state)
 {
     (void)state;
     for (int i = 0; i < 2; ++i) {
-        const double size = i ? 800e3 : 250e3;
-        outcome o = RUN("bake", LAMP, "-o", in_folder("size.box.exr"), "--photons", "1500000", "--seed", "3", "--json", "--size", i ? "0.8MB" : "250kB");
+        const double size = i ? 200e3 : 100e3;
+        outcome o = RUN("bake", LAMP, "-o", in_folder("size.box.exr"), "--photons", "12e6", "--seed", "3", "--json", "--size", i ? "0.2MB" : "100kB");
         assert_int_equal(o.code, 0);
         const double bytes = number(o.out, NULL, "bytes"), foretold = number(o.out, NULL, "bytes_foretold");
         size_t really;
