@@ -427,7 +427,9 @@ static lmg_result choose_layout(bake *b, double seconds, lmg_layout *layout, cha
     fit.struct_size = sizeof(fit);
     fit.bounds_min = b->tracer->bounds_min;
     fit.bounds_max = b->tracer->bounds_max;
-    fit.photons = photons * (double)count / pilot_photons;
+    /* With a pilot of a size that is asked for the layout is a function of its rays alone, so that bakes of other lengths have it, too; and so it
+     * is with cells that are asked for. */
+    const bool by_pilot = o->pilot_photons > 0;
     lmg_result result;
     if (fit.cells || fit.resolution[0] || fit.resolution[1] || fit.resolution[2] || fit.resolution[3]) {
         result = lmg_layout_fit(rays, count, &fit, layout, why, err);
@@ -436,7 +438,8 @@ static lmg_result choose_layout(bake *b, double seconds, lmg_layout *layout, cha
         const double most = o->size > 0 ? fmin(fmax(CELLS_PER_PHOTON * photons, (double)DEFAULT_CELLS), (double)MOST_CELLS) : (double)DEFAULT_CELLS;
         const double wanted = o->size > 0 ? o->size : BAKE_SIZE;
         bake_size size;
-        fit.fewer_cells = true;
+        fit.fewer_cells = !by_pilot;
+        fit.photons = by_pilot ? 0 : photons * (double)count / pilot_photons;
         result = bake_size_choose(rays, count, pilot_photons, photons, &fit, wanted, (uint64_t)most, layout, why, &size, err);
         if (result != LMG_OK)
             return result;
@@ -445,8 +448,8 @@ static lmg_result choose_layout(bake *b, double seconds, lmg_layout *layout, cha
             snprintf(cells, sizeof(cells), "at most %.3g M cells: %s; about %.2f MB of %.2f for %.3g M photons\n", 1e-6 * (double)size.cells,
                      size.limited ? "what the size allows" : "the size would allow more", 1e-6 * size.bytes, 1e-6 * wanted, 1e-6 * photons);
         else
-            snprintf(cells, sizeof(cells), "at most %.3g M cells: %.3g M photons don't fill %.2f MB\n", 1e-6 * (double)size.cells,
-                     1e-6 * photons, 1e-6 * wanted);
+            snprintf(cells, sizeof(cells), "at most %.3g M cells: those of %.3g M photons don't fill %.2f MB\n",
+                     1e-6 * (double)size.cells, 1e-6 * photons, 1e-6 * wanted);
     }
     snprintf(both, 1184, "%s%s", cells, result == LMG_OK ? why : "");
     return result;

@@ -12,8 +12,8 @@
 
 /* Of a file beside its cells, about: headers and texts; what a tile takes however empty it is. */
 static const double HEADER_BYTES = 8000, TILE_BYTES = 64;
-/* A photon lights one cell at most, and that takes no more than this in three colours; and there are fewer tiles than this times the root of the cells. */
-static const double PHOTON_BYTES = 10, TILES = 8;
+/* A photon lights one cell at most, and that takes no more than this in three colours. */
+static const double PHOTON_BYTES = 10;
 /* A trial of fewer cells says nothing: its windows and rectangles are of a few cells each. */
 static const double LEAST_TRIAL = 4000;
 static const uint64_t LEAST_CELLS = 20000;
@@ -39,8 +39,27 @@ lmg_result bake_size_of(const lmg_field *field, double *bytes, lmg_error *err)
 }
 
 typedef struct trial {
-    double tiles, bytes;
+    double cells, tiles, bytes;
 } trial;
+
+/* Of a layout's slabs, without those that catch what passes beside: they are much the same in all boxes. */
+static double cells_of(const lmg_layout *layout)
+{
+    double cells = 0;
+    for (uint32_t i = 0; i + 6 < layout->slab_count; ++i) {
+        const lmg_slab *s = &layout->slabs[i];
+        cells += (double)s->nu * s->nv * s->ns * s->nt;
+    }
+    return cells;
+}
+
+static double tiles_of(const lmg_layout *layout)
+{
+    double tiles = 0;
+    for (uint32_t i = 0; i < layout->slab_count; ++i)
+        tiles += (double)layout->slabs[i].nu * layout->slabs[i].nv;
+    return tiles;
+}
 
 /* A slab's cells, fewer in all by a factor. */
 static uint32_t coarser(uint32_t n, double factor)
@@ -61,8 +80,9 @@ static lmg_result try_cells(const lmg_ray *rays, size_t count, lmg_layout layout
         s->nv = coarser(s->nv, factor);
         s->ns = coarser(s->ns, factor);
         s->nt = coarser(s->nt, factor);
-        out->tiles += (double)s->nu * s->nv;
     }
+    out->cells = cells_of(&layout);
+    out->tiles = tiles_of(&layout);
     lmg_result result = lmg_accumulator_create(&layout, &accumulator, err);
     if (result == LMG_OK) {
         lmg_accumulator_deposit(accumulator, rays, count);
@@ -73,17 +93,6 @@ static lmg_result try_cells(const lmg_ray *rays, size_t count, lmg_layout layout
     lmg_field_destroy(field);
     lmg_accumulator_destroy(accumulator);
     return result;
-}
-
-/* Of a layout's slabs, without those that catch what passes beside: they are much the same in all boxes. */
-static double cells_of(const lmg_layout *layout)
-{
-    double cells = 0;
-    for (uint32_t i = 0; i + 6 < layout->slab_count; ++i) {
-        const lmg_slab *s = &layout->slabs[i];
-        cells += (double)s->nu * s->nv * s->ns * s->nt;
-    }
-    return cells;
 }
 
 lmg_result bake_size_choose(const lmg_ray *rays, size_t count, double pilot_photons, double photons, const lmg_fit_options *fit, double bytes,
@@ -98,17 +107,14 @@ lmg_result bake_size_choose(const lmg_ray *rays, size_t count, double pilot_phot
             return result;
         *out = (bake_size){.cells = wishes.cells, .limited = wishes.cells < most};
         const double cells = cells_of(layout);
-        if (HEADER_BYTES + PHOTON_BYTES * photons + TILE_BYTES * TILES * sqrt(cells) <= bytes)
+        if (HEADER_BYTES + PHOTON_BYTES * photons + TILE_BYTES * tiles_of(layout) <= bytes)
             return LMG_OK;
-        /* how many times more cells and photons the box has than the trial */
-        const double larger = fmax(fmin(density, cells / LEAST_TRIAL), 1);
         trial t;
-        result = try_cells(rays, count, *layout, 1 / larger, &t, err);
+        result = try_cells(rays, count, *layout, 1 / fmax(fmin(density, cells / LEAST_TRIAL), 1), &t, err);
         if (result != LMG_OK)
             return result;
-        /* tiles become more as cells do, and larger alike */
-        const double each = fmax(t.bytes - HEADER_BYTES / 2 - TILE_BYTES * t.tiles, 0) * larger;
-        out->bytes = HEADER_BYTES + TILE_BYTES * t.tiles * sqrt(larger) + each;
+        out->bytes = HEADER_BYTES + TILE_BYTES * tiles_of(layout) +
+                     fmax(t.bytes - HEADER_BYTES / 2 - TILE_BYTES * t.tiles, 0) * cells / fmax(t.cells, 1);
         if (out->bytes <= bytes || wishes.cells <= LEAST_CELLS)
             return LMG_OK;
         /* fewer cells get more photons each, so that bytes go down more slowly than cells */

@@ -57,13 +57,15 @@ static void describe(char *report, const lmg_pilot *pl, const lmg_choice *c)
 {
     lmg_slab slabs[LMG_CHOICE_SLABS];
     uint32_t n = lmg_choice_slabs(pl, c, slabs);
-    const lmg_slab *main = &slabs[n - 1], *window = &slabs[n - 2];
-    if (c->focus)
-        say(report, "focus: (u,v) %.4g x %.4g m at %.4g %.4g %.4g m, %u x %u x %u x %u cells\n", slabs[0].u1 - slabs[0].u0, slabs[0].v1 - slabs[0].v0,
-            slabs[0].o.x, slabs[0].o.y, slabs[0].o.z, slabs[0].nu, slabs[0].nv, slabs[0].ns, slabs[0].nt);
+    const lmg_slab *main = &slabs[n - 1], *focus = slabs, *window = c->window ? main - 1 : NULL;
+    if (c->focus) {
+        const lmg_vec3 at = v_fma(v_fma(focus->o, 0.5 * (focus->u0 + focus->u1), focus->a), 0.5 * (focus->v0 + focus->v1), focus->b);
+        say(report, "focus: (u,v) %.4g x %.4g m around %.4g %.4g %.4g m, %u x %u x %u x %u cells\n", focus->u1 - focus->u0, focus->v1 - focus->v0,
+            at.x, at.y, at.z, focus->nu, focus->nv, focus->ns, focus->nt);
+    }
     say(report, "%s: (u,v) %.4g x %.4g m at %.4g m, %u x %u x %u x %u cells", lmg_class_name(c->class), main->u1 - main->u0, main->v1 - main->v0,
         c->depth, main->nu, main->nv, main->ns, main->nt);
-    if (c->window)
+    if (window)
         say(report, "; beam window s %.3g..%.3g t %.3g..%.3g, %u x %u x %u x %u", window->s0, window->s1, window->t0, window->t1, window->nu,
             window->nv, window->ns, window->nt);
     say(report, "\n");
@@ -72,20 +74,20 @@ static void describe(char *report, const lmg_pilot *pl, const lmg_choice *c)
 static void tell_errors(char *report, const char *what, lmg_verdict v)
 {
     say(report, "%sillumination %.2g %%, far field %.2g %%, radiance %.2g %%\n", what, 100 * sqrt(v.illuminance), 100 * sqrt(v.intensity),
-        100 * sqrt(v.radiance));
+        100 * sqrt(fmax(v.radiance, 0)));
 }
 
-/* Cuts a focus in as many cells as radiance asks for: four times as many only if they keep so much more of it. */
+/* Cuts a focus in as many cells as radiance asks for: four times as many only if they keep so much more of the light's square. */
 static double cut_focus(lmg_judge *judge, lmg_slab *focus, double most)
 {
-    static const double BIASES[] = {0.25, 1, 4}, WORTH = 0.005, LEAST = 200;
+    static const double BIASES[] = {0.25, 1, 4}, WORTH = 0.0005, LEAST = 200;
     double error = INFINITY, cells = 0;
     lmg_slab kept = *focus;
     for (double n = LEAST; n <= most; n *= 4) {
         double worth = cells > 0 ? WORTH / LMG_GOOD_RADIANCE / LMG_GOOD_RADIANCE : 0;
         for (size_t k = 0; k < sizeof BIASES / sizeof *BIASES; k++) {
             lmg_focus_cut(focus, n, BIASES[k]);
-            const lmg_verdict v = lmg_judge_slabs(judge, focus, 1, 0, true);
+            const lmg_verdict v = lmg_judge_slabs(judge, focus, 1, true);
             if (!(v.error < error - worth))
                 continue;
             worth = 0;
@@ -103,15 +105,19 @@ static double cut_focus(lmg_judge *judge, lmg_slab *focus, double most)
 /* One opening, without and with a focus, which is kept if it is worth it. */
 static lmg_verdict search_opening(lmg_pilot *pl, lmg_judge *judge, lmg_choice *opening, lmg_slab *focus)
 {
-    static const double SHARE = 0.2;
+    static const double SHARE = 0.2, LEAST_REST = 0.01;
     const lmg_choice plain = *opening;
     lmg_verdict without = lmg_choice_search(pl, judge, opening);
-    if (plain.fixed || !lmg_focus_find(pl, opening->class, focus))
+    if (plain.fixed || !lmg_focus_find(pl, opening->class, opening->spread, focus))
         return without;
+    double rest = 0;
     for (size_t i = 0; i < pl->count; i++) {
         double unused[4];
         pl->taken[i] = lmg_slab_coordinates(focus, pl->origin[i], pl->direction[i], unused);
+        rest += !pl->taken[i] && v_dot(pl->direction[i], focus->n) > 0 ? pl->flux[i] / pl->total : 0;
     }
+    if (rest < LEAST_REST) /* the focus is the opening */
+        return without;
     const double square = lmg_judge_square(judge);
     lmg_choice with = plain;
     with.focus = focus;
@@ -119,8 +125,8 @@ static lmg_verdict search_opening(lmg_pilot *pl, lmg_judge *judge, lmg_choice *o
     lmg_slab slabs[LMG_CHOICE_SLABS];
     lmg_choice_search(pl, judge, &with);
     lmg_judge_set_square(judge, fmax(square, lmg_judge_square(judge)));
-    const lmg_verdict v = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, &with, slabs), 0, false);
-    without = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, opening, slabs), 0, false);
+    const lmg_verdict v = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, &with, slabs), false);
+    without = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, opening, slabs), false);
     if (!lmg_better(v, without, FOCUS_GAIN, LMG_LIKELY))
         return without;
     *opening = with;
@@ -251,11 +257,11 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
             for (int c = 0; c < 6; c++)
                 if (class_flux[c] > 0)
                     n += lmg_choice_slabs(&pl, &cube[c], slabs + n);
-            cube_error = lmg_judge_slabs(judge, slabs, n, 0, false);
+            cube_error = lmg_judge_slabs(judge, slabs, n, false);
         }
     }
     bool use_aperture = options->choice == LMG_LAYOUT_APERTURE ||
-                        (try_aperture && through >= 1 - APERTURE_REST && !lmg_better(cube_error, aperture_error, CUBE_GAIN, LMG_CERTAIN));
+                        (try_aperture && through >= 1 - APERTURE_REST && !lmg_better(cube_error, aperture_error, CUBE_GAIN, LMG_CLEAR));
 
     double beside[6] = {0};
     if (use_aperture) {

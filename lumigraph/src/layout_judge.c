@@ -2,17 +2,17 @@
 /*
  * What cells do to the light, in three measures.
  *
- * Illuminance and intensity: each pilot ray is moved to a random place in its own cell (that is what a cell does to light), and what falls
- * on planes, and into directions, before and after is compared.  All candidates use the same random numbers, so that they differ by what the
- * cells do.  Squares are taken over pairs of different rays, whose noise is independent.
+ * Illuminance and intensity: each pilot ray is moved to a random place in its own cell (that is what a cell does to light), and
+ * what falls on planes, and into directions, before and after is compared.  All candidates use the same random numbers, so that
+ * they differ by what the cells do.  Squares are taken over pairs of different rays, whose noise is independent.
  *
- * Radiance: of a light field L cells keep the means M.  |L - M|^2 = |L|^2 - |M|^2, the norm being the integral of squares over etendue, and
- * |M|^2 is the sum of (flux of cell)^2 / (etendue of cell), which every pair of rays in one cell tells without bias: a U-statistic
- * [hoeffding1948].  The noise of the box adds its variance, sum of (photons' flux)^2 / etendue.
+ * Radiance: of a light field L cells keep the means M.  |L - M|^2 = |L|^2 - |M|^2, the norm being the integral of squares over
+ * etendue, and |M|^2 is the sum of (flux of cell)^2 / (etendue of cell), which every pair of rays in one cell tells without bias: a
+ * U-statistic [hoeffding1948].  The noise of the box adds its variance, sum of (photons' flux)^2 / etendue.
  *
- * The three differ by orders of magnitude: a good box has an error of some tenths of a per cent of illuminance and one of 30 % of radiance.  So each counts in units
- * of what is good.  Errors of illuminance and intensity count as far as they are more than chance: where they aren't, radiance, which pairs
- * of rays tell much more exactly, decides.  Relies on geometry.h for coordinates.
+ * The three differ by orders of magnitude: a good box has an error of some tenths of a per cent of illuminance and one of 30 % of
+ * radiance.  So each counts in units of what is good.  Errors of illuminance and intensity count as far as they are more than
+ * chance: where they aren't, radiance, which pairs of rays tell much more exactly, decides.  Relies on geometry.h for coordinates.
  */
 #include "layout_judge.h"
 
@@ -23,14 +23,15 @@
 #include <string.h>
 
 static const double PLANE_DISTANCE[LMG_JUDGE_PLANES] = {0.5, 1, 2, 5};
-/* The directions of most of the light: what is left out at either end of both coordinates, and how much wider than the rest the receiver is. */
-static const double BEAM_TAIL = 0.1, BEAM_MARGIN = 0.5;
+/* The directions of most of the light: what is left out at either end of both coordinates, and how much wider than the rest the
+ * receiver is. */
+static const double BEAM_TAIL = 0.3, BEAM_MARGIN = 1.5;
 /* Rays are dealt with in so many parts, whatever the number of processors, so that sums of floats are always the same. */
 enum { SIDE = 24, PARTS = 8 };
 
 typedef struct receiver {
-    double reach;             /* of a plane; unused for directions */
-    double x0, y0, scale;     /* its corner, pixels per unit */
+    double reach;         /* of a plane; unused for directions */
+    double x0, y0, scale; /* its corner, pixels per unit */
     double scale_y;
     double energy;
 } receiver;
@@ -54,7 +55,7 @@ struct lmg_judge {
     receiver receivers[LMG_JUDGE_RECEIVERS];
     double square; /* |L|^2; 0: not known */
     size_t count;
-    uint32_t *ray;              /* those judged, by their numbers in the pilot */
+    uint32_t *ray;                         /* those judged, by their numbers in the pilot */
     int16_t (*pixel)[LMG_JUDGE_RECEIVERS]; /* of each as it is; -1 outside */
     uint64_t *cell;
     float *inverse; /* one over the cell's etendue */
@@ -69,10 +70,28 @@ struct lmg_judge {
     bool move;
 };
 
+/* The receiver of all directions: rings of equal solid angle, cut in sectors. */
+enum { RINGS = 16, SECTORS = LMG_JUDGE_PIXELS / RINGS };
+
+/* square: the direction's place in the square of the concentric map, in which the angle about n is linear on each side. */
+static int ring_pixel(double cosine, const double square[2])
+{
+    const double s = square[0], t = square[1];
+    double eighths = 0; /* of the circle */
+    if (fabs(s) >= fabs(t))
+        eighths = s != 0 ? (s > 0 ? 0 : 4) + t / s : 0;
+    else
+        eighths = (t > 0 ? 2 : 6) - s / t;
+    const int ring = (int)((1 - cosine) * RINGS), sector = (int)((eighths < 0 ? eighths + 8 : eighths) * (SECTORS / 8.0));
+    return (ring < RINGS ? ring : RINGS - 1) * SECTORS + (sector < SECTORS ? sector : SECTORS - 1);
+}
+
 static int pixel_of(const lmg_judge *q, int k, lmg_vec3 o, lmg_vec3 d, const double square[2])
 {
     const receiver *r = &q->receivers[k];
     double x, y;
+    if (k == LMG_JUDGE_PLANES)
+        return ring_pixel(v_dot(d, q->n), square);
     if (k < LMG_JUDGE_PLANES) {
         double t = (q->start + r->reach - v_dot(o, q->n)) / v_dot(d, q->n);
         x = v_dot(o, q->a) + t * v_dot(d, q->a);
@@ -97,12 +116,11 @@ static void pixels_of(const lmg_judge *q, lmg_vec3 o, lmg_vec3 d, int out[LMG_JU
         out[k] = forward ? pixel_of(q, k, o, d, square) : -1;
 }
 
-/* The receivers of directions: the whole square, and the part of it that holds most of the light. */
+/* The receiver of a beam: the part of the square of directions that holds the middle of the light, and as much again around it. */
 static bool set_directions(lmg_judge *q)
 {
     const lmg_pilot *pl = q->pl;
-    receiver *all = &q->receivers[LMG_JUDGE_PLANES], *beam = all + 1;
-    *all = (receiver){.x0 = -1, .y0 = -1, .scale = SIDE / 2.0, .scale_y = SIDE / 2.0};
+    receiver *beam = &q->receivers[LMG_JUDGE_PLANES + 1];
     double *x = malloc(pl->count * sizeof *x), *y = malloc(pl->count * sizeof *y), *w = malloc(pl->count * sizeof *w);
     size_t n = 0;
     for (size_t i = 0; x && y && w && i < pl->count; i++)
@@ -118,7 +136,8 @@ static bool set_directions(lmg_judge *q)
     }
     /* a beam narrower than any cell will be: anything positive */
     const double wx = fmax((1 + BEAM_MARGIN) * (qx.hi - qx.lo), 1e-6), wy = fmax((1 + BEAM_MARGIN) * (qy.hi - qy.lo), 1e-6);
-    *beam = (receiver){.x0 = 0.5 * (qx.lo + qx.hi - wx), .y0 = 0.5 * (qy.lo + qy.hi - wy), .scale = SIDE / wx, .scale_y = SIDE / wy};
+    *beam =
+        (receiver){.x0 = 0.5 * (qx.lo + qx.hi - wx), .y0 = 0.5 * (qy.lo + qy.hi - wy), .scale = SIDE / wx, .scale_y = SIDE / wy};
     free(x);
     free(y);
     free(w);
@@ -134,7 +153,10 @@ lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all)
     lmg_class_frame(c, &q->a, &q->b, &q->n);
     lmg_vec3 mid = v_scale(0.5, v_add(pl->light_lo, pl->light_hi)), half = v_scale(0.5, v_sub(pl->light_hi, pl->light_lo));
     q->start = v_dot(mid, q->n) + fabs(v_dot(half, q->n));
-    for (q->slot_count = 1024; q->slot_count < 2 * pl->count;)
+    size_t judged = 0;
+    for (size_t i = 0; i < pl->count; i++)
+        judged += all || pl->class[i] == c;
+    for (q->slot_count = 64; q->slot_count < 2 * judged;)
         q->slot_count *= 2;
     q->ray = malloc(pl->count * sizeof *q->ray);
     q->pixel = malloc(pl->count * sizeof *q->pixel);
@@ -158,23 +180,30 @@ lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all)
     sums *whole = q->parts;
     memset(whole, 0, sizeof *whole);
     for (size_t i = 0; i < pl->count; i++) {
-        const bool judged = all || pl->class[i] == c;
+        const bool mine = all || pl->class[i] == c;
         int pixel[LMG_JUDGE_RECEIVERS];
         pixels_of(q, pl->origin[i], pl->direction[i], pixel);
         for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++) {
-            if (judged)
+            if (mine)
                 q->pixel[q->count][k] = (int16_t)pixel[k];
             if (pixel[k] >= 0) {
                 whole->change[k][pixel[k]] += (float)pl->flux[i];
                 whole->squares[k][pixel[k]] += (float)(pl->flux[i] * pl->flux[i]);
             }
         }
-        if (judged)
+        if (mine)
             q->ray[q->count++] = (uint32_t)i;
     }
-    for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++)
-        for (int i = 0; i < LMG_JUDGE_PIXELS; i++)
-            q->receivers[k].energy += (double)whole->change[k][i] * (double)whole->change[k][i] - (double)whole->squares[k][i];
+    for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++) {
+        double energy = 0, squares = 0;
+        for (int i = 0; i < LMG_JUDGE_PIXELS; i++) {
+            const double light = (double)whole->change[k][i], v = (double)whole->squares[k][i];
+            energy += light * light - v;
+            squares += v;
+        }
+        /* of single rays in pixels the rounding of floats, 2^-23 of the squares, would be left */
+        q->receivers[k].energy = energy > 1e-5 * squares ? energy : 0;
+    }
     return q;
 }
 
@@ -231,7 +260,8 @@ static void place_ray(lmg_judge *q, size_t m, sums *out)
         double density = LMG_PI / 4;
         if (s->kind == LMG_SLAB_CUBE) {
             const double d = isinf(s->distance) ? 1 : 1 / s->distance;
-            const double p = isinf(s->distance) ? middle[2] : (middle[2] - middle[0]) * d, r = isinf(s->distance) ? middle[3] : (middle[3] - middle[1]) * d;
+            const double p = isinf(s->distance) ? middle[2] : (middle[2] - middle[0]) * d,
+                         r = isinf(s->distance) ? middle[3] : (middle[3] - middle[1]) * d;
             density = d * d / ((1 + p * p + r * r) * (1 + p * p + r * r));
         }
         q->inverse[m] = (float)(scale[0] * scale[1] * scale[2] * scale[3] / density);
@@ -339,8 +369,8 @@ static void measure_moves(const lmg_judge *q, double error[2], double se[2])
             for (int i = 0; i < LMG_JUDGE_RECEIVERS * LMG_JUDGE_PIXELS; i++)
                 to[k][i] += from[k][i];
     }
-    /* Of a sum c of independent changes, c^2 less the sum of their squares v has the square of c's mean as its own mean; with that m^2, its
-     * variance is 2 v^2 + 4 m^2 v. */
+    /* Of a sum c of independent changes, c^2 less the sum of their squares v has the square of c's mean as its own mean; with that
+     * m^2, its variance is 2 v^2 + 4 m^2 v. */
     double sum[2] = {0}, variance[2] = {0};
     int used[2] = {0};
     for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++) {
@@ -362,7 +392,7 @@ static void measure_moves(const lmg_judge *q, double error[2], double se[2])
     }
 }
 
-lmg_verdict lmg_judge_slabs(lmg_judge *q, const lmg_slab *slabs, uint32_t slab_count, double beside, bool by_radiance)
+lmg_verdict lmg_judge_slabs(lmg_judge *q, const lmg_slab *slabs, uint32_t slab_count, bool by_radiance)
 {
     static const double GOOD[2] = {LMG_GOOD_ILLUMINANCE * LMG_GOOD_ILLUMINANCE, LMG_GOOD_INTENSITY * LMG_GOOD_INTENSITY};
     place_all(q, slabs, slab_count, !by_radiance);
@@ -370,7 +400,9 @@ lmg_verdict lmg_judge_slabs(lmg_judge *q, const lmg_slab *slabs, uint32_t slab_c
     double pairs, noise, error[2] = {0}, se[2] = {0}, variance = 0;
     if (!by_radiance)
         measure_moves(q, error, se);
-    beside /= q->pl->total;
+    double beside = 0;
+    for (size_t m = 0; m < q->count; m++)
+        beside += q->cell[m] ? 0 : q->pl->flux[q->ray[m]] / q->pl->total;
     for (int far = 0; far < 2; far++) {
         v.error += (fmax(error[far] - se[far], 0) + beside * beside) / GOOD[far];
         variance += error[far] > se[far] ? se[far] * se[far] / (GOOD[far] * GOOD[far]) : 0;
@@ -381,7 +413,7 @@ lmg_verdict lmg_judge_slabs(lmg_judge *q, const lmg_slab *slabs, uint32_t slab_c
     if (q->square > 0) {
         const double net = kept - (q->pl->photons > 0 ? noise * (double)q->pl->count / q->pl->photons : 0);
         const double unit = 1 / (LMG_GOOD_RADIANCE * LMG_GOOD_RADIANCE), uncertain = unit * kept / q->square / sqrt(fmax(pairs, 1));
-        v.radiance = fmax(1 - net / q->square, 0);
+        v.radiance = 1 - net / q->square;
         v.error += unit * v.radiance;
         variance += uncertain * uncertain;
     }

@@ -15,16 +15,16 @@
 static const double RECTANGLE_TAIL = 5e-5;
 /* Where a face's light ends is told by so many of its outermost rays, and supposed no farther out than this part of the width. */
 static const double OUTERMOST = 16, UNDISCOVERED = 0.05;
-/* A candidate has to be this much better than what stands, and by three standard errors: dozens are tried, and the luckiest of equals
- * mustn't win. */
+/* A candidate has to be this much better than what stands, and by more than chance: dozens are tried, and the luckiest of equals mustn't
+ * win. */
 static const double GAIN = 0.97;
 /* A window has to promise less than this part of the error without it. */
 static const double WINDOW_WORTH = 0.8;
-/* So much more concentrated has a focus to be than the light of the whole opening. */
+/* So much more concentrated has a focus to be than the light of the whole opening: (share of flux)^2 over area. */
 static const double FOCUS_WORTH = 4;
 /* Fewer cells for one direction aren't tried. */
 static const double FEWEST = 1000;
-/* For finding where light is narrow every so many-th ray will do; odd, so that both halves are among them. */
+/* For finding where light is narrow every so many-th ray will do. */
 enum { SCAN = 5 };
 /* Narrowest (u,v) rectangle, in sizes: light from a point gets a place whose radiance is finite and that no receiver tells from a point. */
 static const double NARROWEST = 1e-3;
@@ -116,12 +116,10 @@ uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out
     return count;
 }
 
-/* wanted_flux: of the rays that the choice is for; what of it lies beside its rectangle is taken as if it were all wrong. */
-static lmg_verdict judge_choice(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice *c, double wanted_flux, bool by_radiance)
+static lmg_verdict judge_choice(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice *c, bool by_radiance)
 {
     lmg_slab slabs[LMG_CHOICE_SLABS];
-    uint32_t n = lmg_choice_slabs(pl, c, slabs);
-    return lmg_judge_slabs(judge, slabs, n, fmax(wanted_flux - c->flux, 0), by_radiance);
+    return lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, c, slabs), by_radiance);
 }
 
 /* Whether a ray is one that the choice's slab is for. */
@@ -233,23 +231,23 @@ static void narrowest_depth(const lmg_pilot *pl, lmg_choice *c, double lo, doubl
 }
 
 /* Fits the rectangle, and judges by radiance: a plane that is good for that is good for what falls on planes near and far. */
-static lmg_verdict cost(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted_flux)
+static lmg_verdict cost(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
 {
-    return fit_rectangle_to(pl, c, SCAN) ? judge_choice(pl, judge, c, wanted_flux, true) : (lmg_verdict){.error = INFINITY};
+    return fit_rectangle_to(pl, c, SCAN) ? judge_choice(pl, judge, c, true) : (lmg_verdict){.error = INFINITY};
 }
 
 /* From the depth that the choice has to wherever else its cells do clearly less harm. */
-static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted_flux, double lo, double hi, int steps)
+static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double lo, double hi, int steps)
 {
     double at = c->depth, step = (hi - lo) / steps;
-    lmg_verdict best = cost(pl, judge, c, wanted_flux);
+    lmg_verdict best = cost(pl, judge, c);
     for (int round = 0; round < 3; round++, step *= 0.3) {
         double centre = at;
         for (int k = round ? -1 : 0; k <= (round ? 1 : steps); k++) {
             if (round && k == 0)
                 continue;
             c->depth = round ? d_clamp(centre + k * step, lo, hi) : lo + step * k;
-            lmg_verdict e = cost(pl, judge, c, wanted_flux);
+            lmg_verdict e = cost(pl, judge, c);
             if (lmg_better(e, best, GAIN, LMG_CERTAIN)) {
                 best = e;
                 at = c->depth;
@@ -263,7 +261,7 @@ static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, d
 /* Nested rectangles in (s,t) around the densest light: the emptiest border strip of a histogram is taken off again and again; wherever
  * the area has halved, a rectangle is kept.  A rectangle grown small is looked at in a finer histogram. */
 enum { MAX_NESTED = 24, BINS = 64 };
-static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTED][4], double flux[MAX_NESTED])
+static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTED][4])
 {
     lmg_slab s = frame_of(pl, c);
     static const int AREA_PER_LEVEL = 16;
@@ -318,10 +316,6 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
             y1 -= least == 3;
             if ((x1 - x0) * (y1 - y0) * 2 <= kept && count < MAX_NESTED) {
                 kept = (x1 - x0) * (y1 - y0);
-                flux[count] = 0;
-                for (int y = y0; y < y1; y++)
-                    for (int x = x0; x < x1; x++)
-                        flux[count] += histogram[y * BINS + x] / total;
                 double *o = out[count++];
                 o[0] = r[0] + (r[1] - r[0]) * x0 / BINS;
                 o[1] = r[0] + (r[1] - r[0]) * x1 / BINS;
@@ -338,7 +332,7 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
 }
 
 /* How the cells are shared out: between (u,v) and (s,t), for the window too, and between window and the rest. */
-static lmg_verdict share_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted, lmg_verdict best)
+static lmg_verdict share_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, lmg_verdict best)
 {
     static const double biases[] = {0.25, 0.5, 2, 4}, shares[] = {0.35, 0.5, 0.75, 0.87};
     for (int round = 0; round < 2; round++) {
@@ -356,7 +350,7 @@ static lmg_verdict share_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
                     *bias *= biases[k];
                 if (what < 2 && (*bias < 0.05 || *bias > 20))
                     continue;
-                lmg_verdict e = judge_choice(pl, judge, &t, wanted, false);
+                lmg_verdict e = judge_choice(pl, judge, &t, false);
                 if (lmg_better(e, best, GAIN, LMG_LIKELY)) {
                     best = e;
                     *c = t;
@@ -370,11 +364,11 @@ static lmg_verdict share_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
 }
 
 /* Fewer cells, if that may be, where their noise costs more than they are worth. */
-static lmg_verdict fewer_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted, lmg_verdict best)
+static lmg_verdict fewer_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, lmg_verdict best)
 {
-    for (lmg_choice t = *c; c->fewer && t.cells > FEWEST;) {
+    for (lmg_choice t = *c; c->fewer && t.cells >= 2 * FEWEST;) {
         t.cells *= 0.5;
-        const lmg_verdict e = judge_choice(pl, judge, &t, wanted, false);
+        const lmg_verdict e = judge_choice(pl, judge, &t, false);
         if (e.error >= best.error)
             continue;
         best = e;
@@ -385,20 +379,20 @@ static lmg_verdict fewer_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
 
 /* Window or none: each that nested() finds, with cells shared out evenly, and, if there may be fewer, with a few numbers of them: a narrow
  * window is worth it with fewer cells than a wide one. */
-static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double wanted, lmg_verdict best)
+static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, lmg_verdict best)
 {
-    double rects[MAX_NESTED][4], shares_of_flux[MAX_NESTED], gain = WINDOW_WORTH;
-    const int n = nested(pl, c, rects, shares_of_flux);
+    double rects[MAX_NESTED][4], gain = WINDOW_WORTH;
+    const int n = nested(pl, c, rects);
     lmg_choice kept = *c;
     for (int k = 0; k < n; k++)
         for (int fewer = 0; fewer < (c->fewer ? 3 : 1); fewer++) {
             lmg_choice t = *c;
             t.window = true;
             t.share = 0.6;
-            t.cells = fmax(c->cells * pow(5, -fewer), FEWEST);
+            t.cells = fmin(c->cells, fmax(c->cells * pow(5, -fewer), FEWEST));
             t.window_bias = fmax(c->bias, 0.25);
             memcpy(t.st, rects[k], sizeof t.st);
-            lmg_verdict e = judge_choice(pl, judge, &t, wanted, false);
+            lmg_verdict e = judge_choice(pl, judge, &t, false);
             if (!lmg_better(e, best, gain, LMG_LIKELY))
                 continue;
             gain = GAIN; /* any window is that much worth; a better one less */
@@ -416,7 +410,8 @@ static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choi
 static double square_of(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice *c)
 {
     enum { RUNGS = 6, STEP = 16 };
-    static const double ENOUGH_PAIRS = 1000, COARSEST = 20000;
+    /* margin: chance must not make any cells look better than perfect */
+    static const double ENOUGH_PAIRS = 1000, COARSEST = 20000, MARGIN = 1.05;
     double before = 0, most = 0, end = 0;
     lmg_choice t = *c;
     t.cells = COARSEST;
@@ -430,35 +425,33 @@ static double square_of(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice 
         before = kept;
         most = fmax(most, kept);
     }
-    return fmax(end, most);
+    return MARGIN * fmax(end, most);
 }
 
 lmg_verdict lmg_choice_search(lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
 {
     lmg_vec3 a, b, n, mid = v_scale(0.5, v_add(pl->lo, pl->hi)), half = v_scale(0.5, v_sub(pl->hi, pl->lo));
     lmg_class_frame(c->class, &a, &b, &n);
-    double wanted = 0, centre = v_dot(mid, n), depth = fabs(v_dot(half, n));
-    for (size_t i = 0; i < pl->count; i++)
-        wanted += belongs(pl, i, c, n) ? pl->flux[i] : 0;
+    const double centre = v_dot(mid, n), depth = fabs(v_dot(half, n));
     narrowest_depth(pl, c, centre - depth, centre + depth, 16);
     lmg_judge_set_square(judge, square_of(pl, judge, c));
     /* where planes stand is a matter of sharpness: noise would have them where cells are large */
     const double photons = pl->photons;
     pl->photons = 0;
-    search_depth(pl, judge, c, wanted, centre - depth, centre + depth, 16);
+    search_depth(pl, judge, c, centre - depth, centre + depth, 16);
     pl->photons = photons;
-    lmg_verdict best = fewer_cells(pl, judge, c, wanted, judge_choice(pl, judge, c, wanted, false));
-    best = share_cells(pl, judge, c, wanted, best);
+    lmg_verdict best = fewer_cells(pl, judge, c, judge_choice(pl, judge, c, false));
+    best = share_cells(pl, judge, c, best);
     bool may_window = !(c->fixed && (c->fixed[2] || c->fixed[3])) && (c->kind == LMG_SLAB_APERTURE || isinf(c->distance));
     if (may_window)
-        best = search_window(pl, judge, c, wanted, best);
+        best = search_window(pl, judge, c, best);
     if (c->window) {
         /* the window has changed what counts: look at the depth once more */
         pl->photons = 0;
-        search_depth(pl, judge, c, wanted, centre - depth, centre + depth, 12);
+        search_depth(pl, judge, c, centre - depth, centre + depth, 12);
         pl->photons = photons;
-        best = share_cells(pl, judge, c, wanted, judge_choice(pl, judge, c, wanted, false));
-        best = fewer_cells(pl, judge, c, wanted, best);
+        best = share_cells(pl, judge, c, judge_choice(pl, judge, c, false));
+        best = fewer_cells(pl, judge, c, best);
     }
     return best;
 }
@@ -510,8 +503,7 @@ typedef struct crossings {
     crossing *sorted;
 } crossings;
 
-/* How concentrated the light is at a depth: the largest (share of flux)^2 / (area), over squares around the densest place, in units of
- * what the whole opening has; that square. */
+/* How concentrated the light is at a depth: the largest (share of flux)^2 / (area), m^-2, over squares around the densest place; that square. */
 static double concentration(const lmg_pilot *pl, const lmg_slab *frame, const crossings *x, double rect[4])
 {
     static const double LEAST_SHARE = 0.05;
@@ -535,7 +527,7 @@ static double concentration(const lmg_pilot *pl, const lmg_slab *frame, const cr
         sum += x->sorted[i].w;
         if (sum < LEAST_SHARE * total)
             continue;
-        const double r = fmax(x->sorted[i].r, 0.5 * NARROWEST * pl->size), gain = sum * sum * hu * hv / (total * total * r * r);
+        const double r = fmax(x->sorted[i].r, 0.5 * NARROWEST * pl->size), gain = sum * sum / (total * total * 4 * r * r);
         if (gain <= best)
             continue;
         best = gain;
@@ -547,7 +539,7 @@ static double concentration(const lmg_pilot *pl, const lmg_slab *frame, const cr
     return best;
 }
 
-bool lmg_focus_find(const lmg_pilot *pl, int c, lmg_slab *out)
+bool lmg_focus_find(const lmg_pilot *pl, int c, double area, lmg_slab *out)
 {
     enum { DEPTHS = 24, ROUNDS = 3 };
     const lmg_choice choice = {.kind = LMG_SLAB_APERTURE, .class = c};
@@ -582,5 +574,5 @@ bool lmg_focus_find(const lmg_pilot *pl, int c, lmg_slab *out)
     free(x.w);
     free(x.sorted);
     out->nu = out->nv = out->ns = out->nt = 1;
-    return best > FOCUS_WORTH;
+    return best * area > FOCUS_WORTH;
 }

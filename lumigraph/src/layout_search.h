@@ -33,8 +33,8 @@ uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out
 lmg_verdict lmg_choice_search(lmg_pilot *pl, lmg_judge *judge, lmg_choice *c);
 
 /* Where much of the light that goes towards class c passes through a small place inside the bounds, such as a source that is seen
- * directly: an aperture slab on that place, with one cell.  False: nowhere. */
-bool lmg_focus_find(const lmg_pilot *pl, int c, lmg_slab *out);
+ * directly: an aperture slab on that place, with one cell.  area: of the opening that the light goes through otherwise, m2.  False: nowhere. */
+bool lmg_focus_find(const lmg_pilot *pl, int c, double area, lmg_slab *out);
 
 /* Cuts a focus in about so many cells; bias: of (u,v) over (s,t), as in a choice. */
 void lmg_focus_cut(lmg_slab *focus, double cells, double bias);

@@ -68,7 +68,6 @@ void lmg_pilot_destroy(lmg_pilot *pl)
     free(pl->origin);
     free(pl->direction);
     free(pl->flux);
-    free(pl->half);
     free(pl->class);
     free(pl->taken);
     free(pl->jitter);
@@ -92,29 +91,22 @@ static bool usable(const lmg_ray *r)
 
 lmg_result lmg_pilot_create(lmg_pilot *pl, const lmg_ray *rays, size_t count, lmg_error *err)
 {
-    size_t good = 0, parity[2] = {0};
+    size_t good = 0;
     for (size_t i = 0; i < count; i++)
-        if (usable(&rays[i])) {
-            good++;
-            parity[rays[i].number & 1]++;
-        }
+        good += usable(&rays[i]);
     if (!good)
         return lmg_fail(err, LMG_ERROR_ARGUMENT, "layout: none of the %zu pilot rays carries light", count);
-    /* an odd stride keeps both halves; if all numbers are of one parity, the halves are every other ray */
-    size_t stride = good / SEARCH_RAYS;
-    stride += stride % 2 == 0;
-    bool by_number = parity[0] && parity[1];
+    const size_t stride = good / SEARCH_RAYS ? good / SEARCH_RAYS : 1;
     size_t room = good / stride + 1;
     pl->origin = malloc(room * sizeof *pl->origin);
     pl->direction = malloc(room * sizeof *pl->direction);
     pl->flux = malloc(room * sizeof *pl->flux);
-    pl->half = malloc(room);
     pl->class = malloc(room);
     pl->taken = calloc(room, sizeof *pl->taken);
     pl->jitter = malloc(room * sizeof *pl->jitter);
     pl->x = malloc(room * sizeof *pl->x);
     pl->w = malloc(room * sizeof *pl->w);
-    if (!pl->origin || !pl->direction || !pl->flux || !pl->half || !pl->class || !pl->taken || !pl->jitter || !pl->x || !pl->w)
+    if (!pl->origin || !pl->direction || !pl->flux || !pl->class || !pl->taken || !pl->jitter || !pl->x || !pl->w)
         return lmg_fail(err, LMG_ERROR_MEMORY, "layout: no memory for %zu pilot rays", room);
     for (size_t i = 0, k = 0; i < count; i++) {
         if (!usable(&rays[i]) || k++ % stride)
@@ -124,7 +116,6 @@ lmg_result lmg_pilot_create(lmg_pilot *pl, const lmg_ray *rays, size_t count, lm
         pl->direction[m] = v_scale(1 / v_length(rays[i].direction), rays[i].direction);
         pl->flux[m] = lmg_luminance(rays[i].flux);
         pl->class[m] = (uint8_t)lmg_direction_class(rays[i].direction);
-        pl->half[m] = (uint8_t)((by_number ? rays[i].number : m) & 1);
         for (uint64_t c = 0; c < 4; c++)
             pl->jitter[m][c] = (float)uniform(4 * m + c);
         pl->total += pl->flux[m];

@@ -9,7 +9,7 @@ typedef struct lmg_pilot {
     size_t count;
     lmg_vec3 *origin, *direction;
     double *flux;      /* luminance */
-    uint8_t *half, *class;
+    uint8_t *class;
     bool *taken;       /* whether a focus has the ray, so that no other slab needs to be good for it */
     float (*jitter)[4];
     double *x, *w; /* scratch */

@@ -878,8 +878,9 @@ static void samples_are_efficient(void **state)
             }
             double spread = sqrt(m.m2 / N) / m.mean;
             print_message("%s at %.1f sizes: relative spread of a sample %.2f, largest %.1f\n", lamp_name(kinds[t]), away[k], spread, most / m.mean);
-            /* smooth lamps: what the cells' own noise leaves; the spot from half a size sees a few patches of its mirror */
-            assert_true(spread < (kinds[t] == LAMP_SPOT ? 3 : 0.7));
+            /* smooth lamps: what the cells' own noise leaves; the spot from half a size sees a few patches of its mirror, sharper than the 16 bins
+             * across the beam that directions are chosen by */
+            assert_true(spread < (kinds[t] == LAMP_SPOT ? 5 : 0.7));
         }
         lmg_field_destroy(f);
     }

@@ -417,6 +417,8 @@ static void bad_wishes_are_refused(void **state)
     BAD(o.channels = 2);
     BAD(o.distance = -1);
     BAD(o.distance = (double)NAN);
+    BAD(o.photons = -1);
+    BAD(o.photons = (double)NAN);
     BAD(o.resolution[2] = 70000);
     BAD(o.cells = (uint64_t)1 << 40);
     BAD(o.choice = (lmg_layout_choice)5);

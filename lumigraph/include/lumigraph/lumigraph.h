@@ -150,8 +150,8 @@ typedef struct lmg_fit_options {
     size_t struct_size;
     lmg_layout_choice choice;
     uint64_t cells;       /* total number of cells to aim at; 0 = 4 million */
-    bool fewer_cells;     /* take fewer where so many would hold too few photons each */
-    double photons;       /* rays that the cells will be filled with, so that their noise counts; 0 = so many that it doesn't */
+    bool fewer_cells;     /* cells is a limit: take fewer where more would hold too few of the photons each, or gain nothing */
+    double photons;       /* rays that the cells will be filled with, >= 0, so that their noise counts; 0 = so many that it doesn't */
     uint32_t channels;    /* 1 or 3; 0 = measured from the rays (1 if all have one colour) */
     double distance;      /* D of cube slabs; 0 = INFINITY */
     uint32_t resolution[4]; /* nu,nv,ns,nt per main slab, each 0 = chosen */
@@ -159,10 +159,11 @@ typedef struct lmg_fit_options {
 } lmg_fit_options;
 
 /*
- * Fits a layout to a pilot batch of rays: chooses cube or aperture, where each (u,v) plane stands (where the light is narrowest), how
- * tightly its rectangle fits, and narrow (s,t) windows over beams, within the number of cells asked for.  Below an aperture slab six
- * coarse cube slabs catch whatever doesn't pass the opening, so that every ray of any luminaire has a place.
- * Errors: LMG_ERROR_ARGUMENT (no rays, empty bounds, values out of range).  report (may be NULL) gets a few printable lines on why.
+ * Fits a layout to a pilot batch of rays: chooses cube or aperture, where each (u,v) plane stands, how tightly its rectangle fits,
+ * narrow (s,t) windows over beams, and a slab of its own for a source that is seen directly (its focus), within the number of cells asked
+ * for, by what the cells do to illuminance, intensity and radiance.  Below these slabs six coarse cube slabs catch whatever passes beside, so
+ * that every ray of any luminaire has a place.
+ * Errors: LMG_ERROR_ARGUMENT (no rays, empty bounds, values out of range), LMG_ERROR_MEMORY.  report (may be NULL) gets a few printable lines on why.
  */
 LMG_API lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_options *options, lmg_layout *out,
                                   char report[1024], lmg_error *err);
