@@ -130,18 +130,20 @@ typedef struct column {
 /* False for a triangle without area. */
 static bool raise_column(const lum_triangle *t, column *c)
 {
+    lmg_vec3 along[3];
+    for (int e = 0; e < 3; e++) {
+        along[e] = vec_sub(vec_from_float(t->v[(e + 1) % 3]), vec_from_float(t->v[e]));
+    }
+    if (!(vec_length(vec_cross(along[0], along[1])) > 0)) {
+        return false;
+    }
     c->error = (double)t->error;
     c->normal = vec_from_float(t->ng);
     c->height = vec_dot(vec_from_float(t->v[0]), c->normal);
     c->box = triangle_bounds(t);
     for (int e = 0; e < 3; e++) {
-        const lmg_vec3 from = vec_from_float(t->v[e]), along = vec_sub(vec_from_float(t->v[(e + 1) % 3]), from);
-        const double length = vec_length(along);
-        if (!(length > 0)) {
-            return false;
-        }
-        c->inward[e] = vec_scale(vec_cross(c->normal, along), 1 / length);
-        c->start[e] = vec_dot(from, c->inward[e]) + c->error;
+        c->inward[e] = vec_scale(vec_cross(c->normal, along[e]), 1 / vec_length(along[e]));
+        c->start[e] = vec_dot(vec_from_float(t->v[e]), c->inward[e]) + c->error;
     }
     return true;
 }
@@ -149,14 +151,18 @@ static bool raise_column(const lum_triangle *t, column *c)
 /* Whether the part of a triangle in the column is more than a sliver, and all of it near the column's own triangle. */
 static bool touch(const column *c, const lum_triangle *t)
 {
-    lmg_vec3 corner[6];
+    /* A plane leaves at most one corner more of what is convex, 6 in the end.  Whatever signs rounding gives the distances: of n corners P
+     * are kept, and each of the others lies between at most two crossings, so there are at most P + 2 min(P, n - P) <= 3n/2:
+     * 3, 4, 6, 9. */
+    enum { CORNERS = 9 };
+    lmg_vec3 corner[CORNERS];
     int count = 3;
     for (int i = 0; i < 3; i++) {
         corner[i] = vec_from_float(t->v[i]);
     }
     for (int e = 0; e < 3; e++) {
-        double in[6];
-        lmg_vec3 kept[6];
+        double in[CORNERS];
+        lmg_vec3 kept[CORNERS];
         int kept_count = 0;
         for (int i = 0; i < count; i++) {
             in[i] = vec_dot(corner[i], c->inward[e]) - c->start[e];
