@@ -159,6 +159,8 @@ static tracer_medium *list_media(const lum_model *model)
     for (uint32_t i = 0; media && i < model->material_count; ++i) {
         const lum_material *m = &model->materials[i];
         media[i].solid = lum_material_is_solid(m);
+        media[i].opaque = !(m->kind == LUM_SURFACE_PBR && (m->transmission > 0 || m->diffuse_transmission > 0)) &&
+                          !m->spectral.transmittance && !m->spectral.converted;
         media[i].ior = m->ior;
         media[i].priority = m->priority;
         const bool clear = m->transmission == 1 && m->metallic == 0 && m->layers.present == 0 && m->alpha_mode == LUM_ALPHA_OPAQUE;

@@ -93,12 +93,20 @@ typedef struct waiting_path {
 enum { WAVE = 64 };
 
 #if KERNEL_FEATURES & TRACER_TOUCHING
-/* The boundaries of solids that lie on each other where a path is, each crossed by what goes through there; count 0: it met one
- * surface only.  Outermost solids first. */
+/* The surfaces that lie on each other where a path is. */
 typedef struct crossing {
+    /* Boundaries of solids, all crossed by what goes through there; outermost solids first. */
     uint32_t count;
     int32_t material[LUM_MAX_HERE];
     bool front[LUM_MAX_HERE];
+    /* What the light meets, in its order; 0 layers: one surface only.  boundary: the layer that acts for all boundaries, layer_count if none
+     * does.  The path has arrived at layer `at`, along the order or (`back`) against it; `turned`: not in its first direction. */
+    lum_hit layers[LUM_MAX_HERE];
+    uint32_t layer_count, boundary, at;
+    bool back, turned;
+    /* The solids around on the other side of the boundaries. */
+    uint32_t nested;
+    int32_t inside[MAX_NESTED];
 } crossing;
 #endif
 
@@ -122,6 +130,9 @@ typedef struct worker {
     uint32_t met_count;
     lum_encounter met[WAVE];
     uint32_t met_path[WAVE], met_photons[WAVE];
+#if KERNEL_FEATURES & TRACER_TOUCHING
+    uint32_t onward_count, onward_path[WAVE], onward_photons[WAVE]; /* have passed a layer and come to the next one */
+#endif
 #if KERNEL_FEATURES & TRACER_SPECTRAL
     bool converted[WAVE]; /* by a phosphor, just now */
 #endif
@@ -465,32 +476,50 @@ static bool cross_all(const tracer *t, path *p, const crossing *here)
     return true;
 }
 
+/* Takes a path to the other side of a place's boundaries. */
+static void change_sides(path *p, crossing *here)
+{
+    const uint32_t nested = p->nested;
+    int32_t inside[MAX_NESTED];
+    memcpy(inside, p->inside, sizeof(inside));
+    p->nested = here->nested;
+    memcpy(p->inside, here->inside, sizeof(inside));
+    here->nested = nested;
+    memcpy(here->inside, inside, sizeof(inside));
+}
+
 /*
- * What path i meets where it has arrived, when several surfaces lie there: `layers`, in the order in which light meets them.  First come those
- * that aren't boundaries of solids, in contact with the medium before: what is opaque ends there.  Then all boundaries act as one
- * between the medium before and the one after: it has the surface of the solid of higher rank of these two; where both are the same
- * there is none, and what was met may be no layer at all.  Returns their number; *alone: there is but one surface, w->hit[i].
- * UINT32_MAX: nested too deep.
+ * What path i meets where it has arrived, when several surfaces lie there: w->here[i].  What is opaque comes first, in contact with the
+ * medium before: nothing slips through.  All boundaries of solids act as one between the medium before and the one after: it has the
+ * surface of the solid of higher rank of these two; where both are the same there is none, and what was met may be no layer at all.
+ * Sheets that let light through lie outside of that solid, those that face outwards outermost: from behind, light meets all this in
+ * reversed order.  *alone: there is but one surface, w->hit[i].  False: nested too deep, or too many surfaces.
  */
-static uint32_t look_around(const tracer *t, worker *w, uint32_t i, lum_hit layers[LUM_MAX_HERE], bool *alone)
+static bool look_around(const tracer *t, worker *w, uint32_t i, bool *alone)
 {
     path *p = &w->path[i];
     crossing *here = &w->here[i];
     lum_hit all[LUM_MAX_HERE];
     all[0] = w->hit[i];
-    here->count = 0;
+    here->count = here->layer_count = 0;
     const uint32_t count = lum_scene_all_here(t->scene, w->origin[i], w->direction[i], all);
     *alone = count == 1;
     if (*alone)
-        return 1;
+        return true;
+    if (count > LUM_MAX_HERE)
+        return false;
     w->hit[i] = all[0];
-    uint32_t layer_count = 0, fronts = 0, from[LUM_MAX_HERE];
+    lum_hit *layers = here->layers;
+    uint32_t layer_count = 0, opaque = 0, fronts[2] = {0, 0}, from[LUM_MAX_HERE];
     const lmg_vec3 d = w->direction[i];
     for (uint32_t k = 0; k < count; ++k) {
         const int32_t material = t->model->triangle_material[all[k].triangle];
         const bool front = d.x * all[k].ng.x + d.y * all[k].ng.y + d.z * all[k].ng.z < 0;
         if (!t->media[material].solid) {
-            const uint32_t at = front ? fronts++ : layer_count;
+            const bool passes = !t->media[material].opaque;
+            const uint32_t at = (passes ? opaque : 0) + fronts[passes];
+            fronts[passes] += front;
+            opaque += !passes;
             memmove(&layers[at + 1], &layers[at], (layer_count - at) * sizeof(layers[0]));
             layers[at] = all[k];
             ++layer_count;
@@ -518,17 +547,28 @@ static uint32_t look_around(const tracer *t, worker *w, uint32_t i, lum_hit laye
     }
     for (uint32_t k = here->count; k-- > 0;)
         if (!notice_birth_inside(t, p, here->material[k], here->front[k]))
-            return UINT32_MAX;
+            return false;
     path beyond = *p;
     if (!cross_all(t, &beyond, here))
-        return UINT32_MAX;
+        return false;
+    here->nested = beyond.nested;
+    memcpy(here->inside, beyond.inside, sizeof(here->inside));
     const int32_t before = innermost(p), after = innermost(&beyond);
+    here->boundary = UINT32_MAX;
     for (uint32_t k = here->count; before != after && k-- > 0;)
         if (here->material[k] == (here->front[k] ? after : before)) {
-            layers[layer_count++] = all[from[k]];
+            here->boundary = here->front[k] ? layer_count : opaque;
+            memmove(&layers[here->boundary + 1], &layers[here->boundary], (layer_count - here->boundary) * sizeof(layers[0]));
+            layers[here->boundary] = all[from[k]];
+            ++layer_count;
             break;
         }
-    return layer_count;
+    if (here->boundary == UINT32_MAX)
+        here->boundary = layer_count;
+    here->layer_count = layer_count;
+    here->at = 0;
+    here->back = here->turned = false;
+    return true;
 }
 #endif
 
@@ -867,30 +907,43 @@ static inline bool meet(const tracer *t, worker *w, uint32_t i, uint32_t photons
 }
 
 #if KERNEL_FEATURES & TRACER_TOUCHING
-/* The same where several surfaces lie on each other: `layers`, as look_around gives them. */
-static bool meet_layers(const tracer *t, worker *w, uint32_t i, uint32_t photons, const lum_hit *layers, uint32_t count)
+/* Beyond layer here->at, to the next one or (false) off the place. */
+static bool pass_layer(path *p, crossing *here)
+{
+    if (here->at == here->boundary)
+        change_sides(p, here);
+    here->at += here->back ? UINT32_MAX : 1; /* from layer 0 back: beyond all */
+    if (here->at == here->boundary && here->at == here->layer_count)
+        change_sides(p, here); /* no layer stands for the boundaries */
+    return here->at < here->layer_count;
+}
+
+/* The same where several surfaces lie on each other, from layer w->here[i].at on. */
+static bool meet_layers(const tracer *t, worker *w, uint32_t i, uint32_t photons)
 {
     path *p = &w->path[i];
+    crossing *here = &w->here[i];
     lum_encounter *e = &w->met[w->met_count];
-    path beyond = *p;
-    cross_all(t, &beyond, &w->here[i]);
-    for (uint32_t k = 0; k < count; ++k) {
-        w->hit[i] = layers[k];
-        lum_surface_at(t->scene, &layers[k], w->direction[i], &e->surface);
-        const int32_t material = material_of(t, e);
+    if (here->layer_count == 0)
+        change_sides(p, here);
+    for (bool more = here->layer_count > 0; more; more = pass_layer(p, here)) {
+        w->hit[i] = here->layers[here->at];
+        lum_surface_at(t->scene, &w->hit[i], w->direction[i], &e->surface);
+        const int32_t material = material_of(t, e), other = here->nested > 0 ? here->inside[here->nested - 1] : -1;
         const tracer_medium *m = &t->media[material];
-        if (m->bare && !t->spectral && index_of_solid(t, p, innermost(p)) == index_of_solid(t, p, innermost(&beyond)))
-            continue; /* a solid's: the last */
+        if (m->bare && !t->spectral && index_of_solid(t, p, innermost(p)) == index_of_solid(t, p, other))
+            continue;
         if (e->surface.coverage < 1 && lum_rng_next(&p->rng) >= (double)e->surface.coverage)
             continue;
 #if KERNEL_FEATURES & TRACER_SURVEY
         note_effects(p, w->survey->effects[material] & ~BAKE_EMISSION_BITS);
 #endif
-        keep_encounter(t, w, i, photons, innermost(m->solid && !e->surface.front ? &beyond : p));
+        keep_encounter(t, w, i, photons, m->solid && !e->surface.front ? other : innermost(p));
         return false;
     }
-    cross_all(t, p, &w->here[i]);
-    return pass_by(w, i, photons, straight_on(&w->hit[i], w->origin[i], w->direction[i]));
+    const lum_hit *hit = &w->hit[i];
+    return pass_by(w, i, photons,
+                   here->turned ? lum_offset(hit, w->direction[i]) : straight_on(hit, w->origin[i], w->direction[i]));
 }
 #endif
 
@@ -930,9 +983,18 @@ static inline bool leave(const tracer *t, worker *w, uint32_t k)
     if (photons == 0)
         return false;
 #if KERNEL_FEATURES & TRACER_TOUCHING
-    if (w->here[i].count > 0) {
-        if (s->event & LUM_TRANSMITTED)
-            cross_all(t, p, &w->here[i]); /* not nested too deep: look_around has seen it */
+    crossing *here = &w->here[i];
+    bool more = false;
+    if (here->layer_count > 0) {
+        if (s->event & LUM_TRANSMITTED) {
+            more = pass_layer(p, here);
+        } else {
+            here->back = !here->back;
+            here->at += here->back ? UINT32_MAX : 1;
+            more = here->at < here->layer_count;
+            if (here->at == here->boundary && !more && !here->back)
+                change_sides(p, here);
+        }
     } else
 #endif
 #if KERNEL_FEATURES & TRACER_SOLIDS
@@ -944,6 +1006,16 @@ static inline bool leave(const tracer *t, worker *w, uint32_t k)
     (void)t;
 #endif
     const lmg_vec3 d = w->direction[i];
+#if KERNEL_FEATURES & TRACER_TOUCHING
+    if (more) {
+        const double n = 1.5 - 0.5 * (s->wo.x * s->wo.x + s->wo.y * s->wo.y + s->wo.z * s->wo.z);
+        w->direction[i] = (lmg_vec3){s->wo.x * n, s->wo.y * n, s->wo.z * n};
+        here->turned = true;
+        w->onward_path[w->onward_count] = i;
+        w->onward_photons[w->onward_count++] = photons;
+        return false;
+    }
+#endif
     if (s->wo.x == d.x && s->wo.y == d.y && s->wo.z == d.z) {
         w->origin[i] = pass_straight(hit, d);
     } else {
@@ -988,15 +1060,10 @@ static inline bool arrive_through(const tracer *t, worker *w, uint32_t i)
     uint32_t photons = 1;
     bool alone = true;
 #if KERNEL_FEATURES & TRACER_TOUCHING
-    lum_hit layers[LUM_MAX_HERE];
-    uint32_t layer_count = 0;
-    w->here[i].count = 0;
-    if (hit->triangle != LUM_MISS) {
-        layer_count = look_around(t, w, i, layers, &alone);
-        if (layer_count == UINT32_MAX) {
-            w->counts.lost += units_of(&w->path[i]);
-            return false;
-        }
+    w->here[i].layer_count = 0;
+    if (hit->triangle != LUM_MISS && !look_around(t, w, i, &alone)) {
+        w->counts.lost += units_of(&w->path[i]);
+        return false;
     }
 #endif
 #if KERNEL_FEATURES & TRACER_MEDIA
@@ -1028,7 +1095,7 @@ static inline bool arrive_through(const tracer *t, worker *w, uint32_t i)
     ++w->path[i].segments;
     if (!HAS(TRACER_MEDIA))
         photons = fly(t, w, i, hit->t);
-    return photons > 0 && meet_layers(t, w, i, photons, layers, layer_count);
+    return photons > 0 && meet_layers(t, w, i, photons);
 #else
     return false;
 #endif
@@ -1059,9 +1126,26 @@ static void interact(const tracer *t, worker *w, uint32_t first, uint32_t count)
     for (uint32_t k = 0; k < hit_count; ++k)
         w->goes_on[hits[k]] = arrive(t, w, hits[k], 1);
 #endif
+#if KERNEL_FEATURES & TRACER_TOUCHING
+    while (w->met_count > 0) {
+        w->onward_count = 0;
+        lum_scatter_trace_many(w->met_count, w->met);
+        for (uint32_t k = 0; k < w->met_count; ++k)
+            w->goes_on[w->met_path[k]] = leave(t, w, k);
+        w->met_count = 0;
+        for (uint32_t k = 0; k < w->onward_count; ++k) {
+            const uint32_t i = w->onward_path[k], photons = w->onward_photons[k];
+            if (++w->path[i].segments >= RUNAWAY_SEGMENTS)
+                w->counts.lost += photons * units_of(&w->path[i]);
+            else
+                w->goes_on[i] = meet_layers(t, w, i, photons);
+        }
+    }
+#else
     lum_scatter_trace_many(w->met_count, w->met);
     for (uint32_t k = 0; k < w->met_count; ++k)
         w->goes_on[w->met_path[k]] = leave(t, w, k);
+#endif
 }
 
 #if KERNEL_FEATURES & TRACER_BACKWARD
@@ -1203,7 +1287,7 @@ static void follow_alone(const tracer *t, worker *w, uint32_t i)
         interact(t, w, i, 1);
         if (!w->goes_on[i])
             return;
-        if (w->path[i].segments == RUNAWAY_SEGMENTS) {
+        if (w->path[i].segments >= RUNAWAY_SEGMENTS) {
             w->counts.lost += units_of(&w->path[i]);
             if (w->trap.trapped < TRACER_TRAPPED_KEPT)
                 w->trap.triangle[w->trap.trapped] = w->hit[i].triangle;

@@ -38,6 +38,7 @@
 /* What the loop needs of a material, in one cache line per few materials. */
 typedef struct tracer_medium {
     bool solid, absorbs;
+    bool opaque; /* no light goes through its surface, unless past it */
     bool bare; /* a solid whose boundary is nothing but a step of the index */
     float ior;
     int32_t priority; /* lum_material.priority */
