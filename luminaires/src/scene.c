@@ -431,10 +431,35 @@ static inline void keep_off_edges(const lum_triangle *tri, lmg_vec3 e1, lmg_vec3
     }
 }
 
+/* Where a ray meets a triangle's plane [moller1997triangle]. */
+typedef struct plane_point {
+    lmg_vec3 a, e1, e2, s; /* a corner, the edges from it, the way from it to the ray's origin */
+    double b1, b2, t;
+} plane_point;
+
+/* False for a ray along the plane. */
+static inline bool meet_plane(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, plane_point *at)
+{
+    at->a = vec_from_float(tri->v[0]);
+    at->e1 = vec_sub(vec_from_float(tri->v[1]), at->a);
+    at->e2 = vec_sub(vec_from_float(tri->v[2]), at->a);
+    at->s = vec_sub(o, at->a);
+    const lmg_vec3 p = vec_cross(d, at->e2), q = vec_cross(at->s, at->e1);
+    const double determinant = vec_dot(at->e1, p);
+    if (determinant == 0) {
+        return false;
+    }
+    const double inverse = 1 / determinant;
+    at->b1 = vec_dot(at->s, p) * inverse;
+    at->b2 = vec_dot(d, q) * inverse;
+    at->t = vec_dot(at->e2, q) * inverse;
+    return true;
+}
+
 typedef enum met { NOT_MET = 0, MET, MET_AT_EDGE } met;
 
 /*
- * The triangle again, in double [moller1997triangle].  Returns whether the ray truly meets it, and that
+ * The triangle again, in double.  Returns whether the ray truly meets it, and that
  * near one of its edges.
  *
  * Embree decides in float and (robust mode) in favour of a hit, so near an edge the exact point may lie slightly outside.  Then the
@@ -446,14 +471,12 @@ typedef enum met { NOT_MET = 0, MET, MET_AT_EDGE } met;
  */
 static inline met confirm_hit(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d, lum_hit *hit)
 {
-    lmg_vec3 a = vec_from_float(tri->v[0]);
-    lmg_vec3 e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
-    lmg_vec3 s = vec_sub(o, a), p = vec_cross(d, e2), q = vec_cross(s, e1);
-    double inverse = 1 / vec_dot(e1, p); /* infinite for a ray in the plane: the comparisons below then fail */
-    double b1 = vec_dot(s, p) * inverse, b2 = vec_dot(d, q) * inverse, t = vec_dot(e2, q) * inverse;
-    if (!(t > 0 && t < (double)INFINITY)) {
+    plane_point at;
+    if (!meet_plane(tri, o, d, &at) || !(at.t > 0 && at.t < (double)INFINITY)) {
         return NOT_MET;
     }
+    const lmg_vec3 a = at.a, e1 = at.e1, e2 = at.e2, s = at.s;
+    double b1 = at.b1, b2 = at.b2, t = at.t;
     double margin = (double)tri->margin, b0 = 1 - b1 - b2;
     met result = MET;
     if (!(b1 >= margin && b2 >= margin && b0 >= margin)) {
@@ -493,11 +516,9 @@ static void prefer_neighbour(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, lum
             continue;
         }
         const lum_triangle *tri = &scene->triangles[other];
-        lmg_vec3 a = vec_from_float(tri->v[0]);
-        lmg_vec3 e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
-        lmg_vec3 s = vec_sub(o, a), p = vec_cross(d, e2), q = vec_cross(s, e1);
-        double inverse = 1 / vec_dot(e1, p), b1 = vec_dot(s, p) * inverse, b2 = vec_dot(d, q) * inverse, t = vec_dot(e2, q) * inverse;
-        if (b1 >= 0 && b2 >= 0 && b1 + b2 <= 1 && t > 0 && t < hit->t && confirm_hit(tri, o, d, hit)) {
+        plane_point at;
+        if (meet_plane(tri, o, d, &at) && at.b1 >= 0 && at.b2 >= 0 && at.b1 + at.b2 <= 1 && at.t > 0 && at.t < hit->t &&
+            confirm_hit(tri, o, d, hit)) {
             hit->triangle = other;
         }
     }
@@ -585,19 +606,16 @@ typedef struct touching_query {
     const lum_scene *scene;
     lmg_vec3 origin, direction;
     lum_hit *hits;
-    bool at_edge[LUM_MAX_HERE];
+    bool at_edge[LUM_MAX_HERE], too_many;
     uint32_t count;
 } touching_query;
 
 /* Whether the ray passes within rounding of a triangle's edge, so that it may have been found to meet the next one as well. */
 static bool meets_edge(const lum_triangle *tri, lmg_vec3 o, lmg_vec3 d)
 {
-    lmg_vec3 a = vec_from_float(tri->v[0]);
-    lmg_vec3 e1 = vec_sub(vec_from_float(tri->v[1]), a), e2 = vec_sub(vec_from_float(tri->v[2]), a);
-    lmg_vec3 s = vec_sub(o, a), p = vec_cross(d, e2), q = vec_cross(s, e1);
-    double inverse = 1 / vec_dot(e1, p), b1 = vec_dot(s, p) * inverse, b2 = vec_dot(d, q) * inverse;
     const double rounding = 0x1p-40; /* of quotients of differences, with the digits that cancel */
-    return !(b1 > rounding && b2 > rounding && 1 - b1 - b2 > rounding);
+    plane_point at;
+    return !(meet_plane(tri, o, d, &at) && at.b1 > rounding && at.b2 > rounding && 1 - at.b1 - at.b2 > rounding);
 }
 
 /* Takes what lies at the place of hits[0]; tells Embree to go on. */
@@ -609,7 +627,7 @@ static void take_here(const struct RTCFilterFunctionNArguments *arguments)
     const lum_triangle *all = q->scene->triangles, *tri = &all[triangle];
     const lum_hit *first = &q->hits[0];
     lum_hit hit = {.triangle = triangle};
-    if (q->count == LUM_MAX_HERE || triangle == first->triangle || !(tri->edges & LUM_TRIANGLE_TOUCHES) ||
+    if (triangle == first->triangle || !(tri->edges & LUM_TRIANGLE_TOUCHES) ||
         !confirm_hit(tri, q->origin, q->direction, &hit)) {
         return;
     }
@@ -621,9 +639,13 @@ static void take_here(const struct RTCFilterFunctionNArguments *arguments)
     for (uint32_t i = 0; i < q->count; i++) {
         const lum_hit *other = &q->hits[i];
         const bool same_side = (vec_dot(other->ng, q->direction) < 0) == front;
-        if (other->triangle == triangle || ((at_edge || q->at_edge[i]) && same_side && all[other->triangle].material == tri->material)) {
+        if (other->triangle == triangle || ((at_edge || q->at_edge[i]) && same_side && ((all[other->triangle].material ^ tri->material) & LUM_TRIANGLE_MATERIAL) == 0)) {
             return; /* again, or a neighbour's */
         }
+    }
+    if (q->count == LUM_MAX_HERE) {
+        q->too_many = true;
+        return;
     }
     q->at_edge[q->count] = at_edge;
     q->hits[q->count++] = hit;
@@ -647,6 +669,9 @@ uint32_t lum_scene_all_here(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 di
     rayhit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     intersect(scene->embree, &query.context, &rayhit);
     const uint32_t count = query.count;
+    if (query.too_many) {
+        return UINT32_MAX;
+    }
     if (count == 1) {
         return 1;
     }

@@ -51,7 +51,8 @@ void lum_scene_intersect_within(const lum_scene *scene, size_t count, const lmg_
  * Where surfaces lie on each other (faces of solids that touch, a solid on an opaque wall), lum_scene_intersect finds one of them.
  * Gives all that the ray meets at the place of hits[0] (as lum_scene_intersect gave it), at most LUM_MAX_HERE, in the order of their
  * triangles, whichever of them hits[0] was; positions and errors are such that an origin offset from any of them is off all of them.
- * Surfaces that aren't solids' and lie on each other are not looked for.  Returns their number, 1 where nothing else is there.
+ * Surfaces that aren't solids' and lie on each other are not looked for.  Returns their number, 1 where nothing else is there;
+ * UINT32_MAX where there are more.
  */
 enum { LUM_MAX_HERE = 16 };
 uint32_t lum_scene_all_here(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit hits[LUM_MAX_HERE]);
