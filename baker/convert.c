@@ -21,7 +21,7 @@ static const double SLIVER = 2e-3;
 /* Cells of a box per ray of a finite source, within these bounds.  A few rays in a cell tell its slopes from noise; where most cells are
  * empty, slopes towards them take radiance from the edges: 3 % at 70 degrees with one ray in two cells, 0.3 % with five in two. */
 static const double CELLS_PER_RAY = 0.2;
-static const uint64_t CELLS_LEAST = 400000, CELLS_MOST = 4000000;
+static const uint64_t CELLS_LEAST = 1000000, CELLS_MOST = 4000000;
 
 static lmg_result stopped(const bake_convert_options *o, lmg_error *err)
 {

@@ -414,7 +414,7 @@ lmg_verdict lmg_judge_slabs(lmg_judge *q, const lmg_slab *slabs, uint32_t slab_c
         const double net = kept - (q->pl->photons > 0 ? noise * (double)q->pl->count / q->pl->photons : 0);
         const double unit = 1 / (LMG_GOOD_RADIANCE * LMG_GOOD_RADIANCE), uncertain = unit * kept / q->square / sqrt(fmax(pairs, 1));
         v.radiance = 1 - net / q->square;
-        v.error += unit * v.radiance;
+        v.error += unit * (by_radiance ? v.radiance : fmax(v.radiance, 0)); /* chance below 0 must not outweigh the others */
         variance += uncertain * uncertain;
     }
     v.se = sqrt(variance);

@@ -239,6 +239,10 @@ static lmg_verdict cost(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
 /* From the depth that the choice has to wherever else its cells do clearly less harm. */
 static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double lo, double hi, int steps)
 {
+    /* in no more cells than leave pairs enough to tell by */
+    static const double PAIRS = 20000;
+    const double cells = c->cells;
+    c->cells = fmin(cells, 0.5 * (double)pl->count * (double)pl->count / PAIRS);
     double at = c->depth, step = (hi - lo) / steps;
     lmg_verdict best = cost(pl, judge, c);
     for (int round = 0; round < 3; round++, step *= 0.3) {
@@ -255,6 +259,7 @@ static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, d
         }
     }
     c->depth = at;
+    c->cells = cells;
     fit_rectangle(pl, c);
 }
 
@@ -393,7 +398,7 @@ static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choi
             t.window_bias = fmax(c->bias, 0.25);
             memcpy(t.st, rects[k], sizeof t.st);
             lmg_verdict e = judge_choice(pl, judge, &t, false);
-            if (!lmg_better(e, best, gain, LMG_LIKELY))
+            if (!lmg_better(e, best, gain, kept.window ? LMG_LIKELY : LMG_CERTAIN))
                 continue;
             gain = GAIN; /* any window is that much worth; a better one less */
             best = e;

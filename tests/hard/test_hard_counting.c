@@ -274,8 +274,8 @@ static void test_filament(void **state)
     const bake_options bright = {.photons = 20000, .seed = 4, .fit.cells = 10000};
     f = hard_bake(m, &bright, NULL);
     const double e = hard_illuminance(f, v3(0, -10, 0), v3(0, 1, 0), NULL);
-    /* of a square of 0.1 m at 10 m: L A / d^2 to 1e-4; 20,000 photons: 1 % noise in what falls here within a cell */
-    hard_at_most("luminance 1e30 cd/m2", "illuminance at 10 m, relative to L A / d^2", fabs(e / (1e30 * 0.01 / 100) - 1), 0.2);
+    /* of a square of 0.1 m at 10 m: L A / d^2 to 1e-4; 20,000 photons in some hundred directions: 7 % noise, four times */
+    hard_at_most("luminance 1e30 cd/m2", "illuminance at 10 m, relative to L A / d^2", fabs(e / (1e30 * 0.01 / 100) - 1), 0.28);
     lmg_field_destroy(f);
     free_model(m);
 }

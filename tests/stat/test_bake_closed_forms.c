@@ -161,7 +161,7 @@ static lmg_field *bake_sphere(const char *name, double backward)
     const double blown = r * sqrt(4 * PI * r * r / mesh_area(&m));
     mesh_free(&m);
     mesh_add_sphere(&m, SPHERE_CENTRE, blown, 48, 96);
-    lmg_field *field = bake_mesh(&m, name, SPHERE_LUMINANCE, 30000000, 0, backward);
+    lmg_field *field = bake_mesh(&m, name, SPHERE_LUMINANCE, 30000000, 4000000, backward);
     mesh_free(&m);
     return field;
 }

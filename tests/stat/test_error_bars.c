@@ -201,7 +201,8 @@ static void bias(void **state)
         /* 10 %: the noise of the box's own cells, which only the judge sees */
         good = good && fabs(told.rms - seen.rms) < 3 * hypot(told.standard_error, seen.standard_error) + 0.1 * seen.rms;
     }
-    assert_true(good && report.bias.far_field.rms > 10 * report.bias.far_field.standard_error);
+    /* in so few cells there is something to tell */
+    assert_true(good && report.bias.planes[0].rms > 10 * report.bias.planes[0].standard_error);
     judge_destroy(j);
     lmg_field_destroy(field);
     lum_model_destroy(model);

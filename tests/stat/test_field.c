@@ -192,6 +192,8 @@ static void openings_are_found(void **state)
         char report[1024];
         assert_int_equal(lmg_layout_fit(rays, N, &o, &l, report, NULL), LMG_OK);
         const lmg_slab *s = &l.slabs[0];
+        if (s->kind != LMG_SLAB_APERTURE)
+            print_message("%s", report);
         assert_int_equal(s->kind, LMG_SLAB_APERTURE);
         const double n[3] = {s->n.x, s->n.y, s->n.z};
         assert_near(n[axis], sign, 0);
