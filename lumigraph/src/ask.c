@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Asking a field: radiance along a ray, illuminance at a point, intensity in a direction.  All three see the same thing: radiance linear within
- * a cell as slopes.h says, in the rays that the cell's slab owns and that come out of the bounds.
+ * Asking a field: radiance along a ray, illuminance at a point, intensity in a direction.  All three see the same thing: radiance
+ * linear within a cell as slopes.h says, in the rays that the cell's slab owns and that come out of the bounds.
  */
 #include "cell_sum.h"
 
@@ -49,7 +49,7 @@ static void linear(const lmg_field *field, int j, double u, double v, double s, 
 }
 
 LMG_WIDE void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction, lmg_filter filter, float rgb[3],
-                        float *standard_error)
+                                 float *standard_error)
 {
     double uvst[4];
     rgb[0] = rgb[1] = rgb[2] = 0;
@@ -90,9 +90,11 @@ bool lmg_field_enter(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction
  * dE = L cos(receiver) cos(plane) / r^2 du dv over the planes, L smooth within cells.  The plane is cut into rectangles along the
  * borders of (u,v) cells and, of cube slabs, along the lines where the ray to the point passes from one (s,t) cell into the next: s
  * depends on u alone there and t on v alone, so that each rectangle sees one cell, exactly.  All is smooth there and integrated by
- * Gauss' rule of 2 x 2 points on pieces small beside their distance: relative error below 1e-4.  Of aperture slabs the (s,t) borders
- * are curved: there pieces are also small beside the (s,t) cells as seen from the point, and each point takes the cell it falls in.
- * Where others own parts of the plane, or lines pass the bounds by, pieces on the border are quartered until it doesn't matter.
+ * Gauss' rule of 2 x 2 points on pieces small beside their distance: relative error below 1e-4.  Of aperture slabs the (s,t)
+ * borders are curved: there pieces are also small beside the (s,t) cells as seen from the point, and each is shared among the cells
+ * that its lines' (s,t) cover.  Where others own parts of the plane, or lines pass the bounds by, pieces on the border are
+ * quartered until it doesn't matter.  So nothing of weight hangs on which side of a border a point falls to: the sum moves as
+ * little as what is asked.
  */
 typedef struct cuts {
     double *x;
@@ -105,9 +107,10 @@ static int by_size(const void *p, const void *q)
     return (a > b) - (a < b);
 }
 
-/* Cuts of one axis within [lo,hi]: n cells on [c0,c1]; m cells on [s0,s1] of s = foot + slope (x - foot), where the (s,t) borders are straight. */
-static bool cut_axis(cuts *c, double lo, double hi, double c0, double c1, uint32_t n, bool straight, double foot, double at_foot, double slope,
-                     double s0, double s1, uint32_t m)
+/* Cuts of one axis within [lo,hi]: n cells on [c0,c1]; m cells on [s0,s1] of s = foot + slope (x - foot), where the (s,t) borders
+ * are straight. */
+static bool cut_axis(cuts *c, double lo, double hi, double c0, double c1, uint32_t n, bool straight, double foot, double at_foot,
+                     double slope, double s0, double s1, uint32_t m)
 {
     *c = (cuts){malloc(((size_t)n + (straight ? m : 0) + 4) * sizeof(double)), 0};
     if (!c->x)
@@ -131,15 +134,17 @@ static bool cut_axis(cuts *c, double lo, double hi, double c0, double c1, uint32
 /* Most pieces of a rectangle each way. */
 enum { MAX_PIECES = 256 };
 
+/* Layouts make whole numbers of them wanted; those are to stay what they are when rounding makes them a little more. */
 static int pieces(double wanted)
 {
-    return (int)d_clamp(ceil(wanted), 1, MAX_PIECES);
+    return (int)d_clamp(ceil(wanted * (1 - 0x1p-30)), 1, MAX_PIECES);
 }
 
-/* Pieces, of two points each, for a width of so many (s,t) cells with curved borders: three to a cell; of many, whose errors cancel, one. */
+/* Pieces, of two points each, for a width of so many (s,t) cells with curved borders: three to a cell; of many, whose errors
+ * cancel, one. */
 static double pieces_across(double cells)
 {
-    return cells < 3 ? 3 * cells : 6 + cells;
+    return cells < 3 ? 2.5 * cells : 4.5 + cells;
 }
 
 /* What the integration over one slab's plane shares. */
@@ -150,7 +155,7 @@ typedef struct integral {
     lmg_vec3 point, normal;
     double h;   /* of the point past the plane; negative: before it */
     bool whole; /* every line is the slab's own and comes out of the bounds before the point, but for those of the window */
-    const lmg_slab *window; /* slab of higher priority in the same frame; NULL: none */
+    const lmg_slab *window; /* the one slab of higher priority in the same frame, told by coordinates; NULL: none, or several */
     lmg_cell_sum *sum;
 } integral;
 
@@ -162,9 +167,9 @@ static inline lmg_vec3 line_from(const integral *q, double u, double v)
 }
 
 /*
- * Whether a rectangle of one (u,v) cell, of sides a, b from (u0,v0), sees only (s,t) cells without light.  Its directions differ from its
- * middle's by an angle of at most pi/2 times half its diagonal over its least distance.  (s,t) is their direction cosines in the square, whose
- * map stretches by at most sqrt(1 + (4/pi)^2) = 1.62; of cube slabs one cell, the middle's.
+ * Whether a rectangle of one (u,v) cell, of sides a, b from (u0,v0), sees only (s,t) cells without light.  Its directions differ
+ * from its middle's by an angle of at most pi/2 times half its diagonal over its least distance.  (s,t) is their direction cosines
+ * in the square, whose map stretches by at most sqrt(1 + (4/pi)^2) = 1.62; of cube slabs one cell, the middle's.
  */
 static bool sees_none(const integral *q, uint64_t iu, uint64_t iv, double u0, double v0, double a, double b, double nearest)
 {
@@ -176,24 +181,96 @@ static bool sees_none(const integral *q, uint64_t iu, uint64_t iv, double u0, do
     double margin = slab->kind == LMG_SLAB_CUBE ? 0 : LMG_PI / 2 * 1.62 * 0.5 * hypot(a, b) / nearest, s, t;
     lmg_vec3 middle = line_from(q, u0 + 0.5 * a, v0 + 0.5 * b);
     lmg_slab_st(slab, middle, v_dot(middle, slab->n), u0 + 0.5 * a, v0 + 0.5 * b, &s, &t);
-    return (s + margin - slab->s0) * scale[2] < lit[0] || (s - margin - slab->s0) * scale[2] > lit[1] + 1 || (t + margin - slab->t0) * scale[3] < lit[2] ||
-           (t - margin - slab->t0) * scale[3] > lit[3] + 1;
+    return (s + margin - slab->s0) * scale[2] < lit[0] || (s - margin - slab->s0) * scale[2] > lit[1] + 1 ||
+           (t + margin - slab->t0) * scale[3] < lit[2] || (t - margin - slab->t0) * scale[3] > lit[3] + 1;
 }
 
-/* Whether the line through (u,v) carries the slab's own light to the point. */
+/* Whether the line through (u,v) carries light to the point that no slab of higher priority owns; the window is left to
+ * add_rectangle. */
 static bool is_own(const integral *q, double u, double v)
 {
-    double own[4];
-    lmg_vec3 d = line_from(q, u, v);
-    return lmg_downstream(&q->field->layout, q->point, d, q->h) &&
-           (q->field->sampler->etendue[q->j].higher_count == 0 ||
-            lmg_plan_owner(&q->field->sampler->plan, v_fma(v_fma(q->slab->o, u, q->slab->a), v, q->slab->b), d, own) == (int)q->j);
+    const lmg_layout *layout = &q->field->layout;
+    const lmg_etendue *e = &q->field->sampler->etendue[q->j];
+    lmg_vec3 d = line_from(q, u, v), from = v_fma(v_fma(q->slab->o, u, q->slab->a), v, q->slab->b);
+    bool own = lmg_downstream(layout, q->point, d, q->h);
+    for (uint32_t k = 0; own && k < e->higher_count; k++) {
+        const lmg_slab *x = &layout->slabs[e->higher[k]];
+        double uvst[4];
+        own = x == q->window || !lmg_slab_coordinates(x, from, d, uvst);
+    }
+    return own;
 }
 
 /* Where x, counted in cells, is within cell i: from -1 to 1. */
 static inline float within(double x, double i)
 {
     return (float)(2 * (x - i) - 1);
+}
+
+/* Coordinates that a rectangle's lines cover along one axis. */
+typedef struct span {
+    double lo, hi;
+} span;
+
+static inline double overlap(span x, double lo, double hi)
+{
+    return d_max(d_min(x.hi, hi) - d_max(x.lo, lo), 0);
+}
+
+/*
+ * Span of (s,t) coordinates from those at the rectangle's corners, as wide as evenly spread ones of the same variance.  At least
+ * 2^-32 of a cell wide, so that rounding moves little of what lies on a border; nothing lies beyond +-1.
+ */
+static span span_of(const double at[4], double scale)
+{
+    double along = 0.5 * (at[1] + at[3] - at[0] - at[2]), across = 0.5 * (at[2] + at[3] - at[0] - at[1]);
+    double middle = 0.25 * (at[0] + at[1] + at[2] + at[3]),
+           half = 0.5 * d_max(sqrt(along * along + across * across), 0x1p-32 / scale);
+    return (span){d_max(middle - half, -1), d_min(middle + half, 1)};
+}
+
+/* Adds a rectangle of one (u,v) cell of an aperture slab, whose middle is at x, y in it, to the (s,t) cells that its lines cover.
+ */
+static bool add_shared(const integral *q, uint64_t iu, uint64_t iv, double u0, double v0, double width, double height, double x,
+                       double y, double weight)
+{
+    const lmg_slab *slab = q->slab, *window = q->window;
+    const double *scale = q->field->sampler->plan.scale[q->j];
+    double s[4], t[4];
+    for (int k = 0; k < 4; k++) {
+        double u = u0 + (k % 2) * width, v = v0 + (k / 2) * height;
+        lmg_vec3 d = line_from(q, u, v);
+        lmg_slab_st(slab, d, v_dot(d, slab->n), u, v, &s[k], &t[k]);
+    }
+    span a = span_of(s, scale[2]), b = span_of(t, scale[3]);
+    double all = weight / ((a.hi - a.lo) * (b.hi - b.lo)), windowed = 0;
+    if (window)
+        windowed = overlap((span){u0, u0 + width}, window->u0, window->u1) / width *
+                   overlap((span){v0, v0 + height}, window->v0, window->v1) / height;
+    if (!(a.hi > slab->s0 && a.lo < slab->s1 && b.hi > slab->t0 && b.lo < slab->t1))
+        return true;
+    /* of the cells only the first's lower and the last's upper border are the slab's own ends */
+    uint32_t is0 = lmg_cell_of(d_max(a.lo, slab->s0), slab->s0, scale[2], slab->ns),
+             is1 = lmg_cell_of(d_min(a.hi, slab->s1), slab->s0, scale[2], slab->ns);
+    uint32_t it0 = lmg_cell_of(d_max(b.lo, slab->t0), slab->t0, scale[3], slab->nt),
+             it1 = lmg_cell_of(d_min(b.hi, slab->t1), slab->t0, scale[3], slab->nt);
+    for (uint32_t it = it0; it <= it1; it++)
+        for (uint32_t is = is0; is <= is1; is++) {
+            span p = {d_max(a.lo, slab->s0 + is / scale[2]), d_min(a.hi, slab->s0 + (is + 1) / scale[2])};
+            span r = {d_max(b.lo, slab->t0 + it / scale[3]), d_min(b.hi, slab->t0 + (it + 1) / scale[3])};
+            if (!(p.hi > p.lo && r.hi > r.lo))
+                continue;
+            double share = (p.hi - p.lo) * (r.hi - r.lo);
+            if (windowed > 0)
+                share -= windowed * overlap(p, window->s0, window->s1) * overlap(r, window->t0, window->t1);
+            const lmg_place place = {((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is,
+                                     it * slab->ns + is,
+                                     {(float)x, (float)y, within((0.5 * (p.lo + p.hi) - slab->s0) * scale[2], is),
+                                      within((0.5 * (r.lo + r.hi) - slab->t0) * scale[3], it)}};
+            if (share > 0 && !lmg_cell_sum_add(q->sum, q->field, q->j, &place, all * share))
+                return false;
+        }
+    return true;
 }
 
 /* Adds a rectangle by Gauss' 2 x 2 points, all in the (u,v) cell iu, iv and, of cube slabs, in one (s,t) cell. */
@@ -203,35 +280,41 @@ static bool add_rectangle(const integral *q, uint64_t iu, uint64_t iv, double u0
     const lmg_slab *slab = q->slab, *window = q->window;
     const double *scale = q->field->sampler->plan.scale[q->j];
     bool cube = slab->kind == LMG_SLAB_CUBE;
+    double middle_s = 0, middle_t = 0, all = 0, x = 0, y = 0;
+    if (cube) {
+        /* the cell by the rectangle's middle, where no rounding can cross a border */
+        double mu = u0 + 0.5 * width, mv = v0 + 0.5 * height;
+        lmg_vec3 middle = line_from(q, mu, mv);
+        lmg_slab_st(slab, middle, v_dot(middle, slab->n), mu, mv, &middle_s, &middle_t);
+        if (!lmg_in_st(slab, middle_s, slab->s0, slab->s1) || !lmg_in_st(slab, middle_t, slab->t0, slab->t1))
+            return true;
+    }
     for (int k = 0; k < 4; k++) {
         double u = u0 + at[k % 2] * width, v = v0 + at[k / 2] * height;
         lmg_vec3 d = line_from(q, u, v);
-        double facing = -v_dot(d, q->normal), s, t, own_s, own_t;
+        double facing = -v_dot(d, q->normal), r2 = v_dot(d, d), weight = 0.25 * width * height * facing * fabs(q->h) / (r2 * r2), s,
+               t;
         if (!(facing > 0) || (each && !is_own(q, u, v)))
             continue;
-        lmg_slab_st(slab, d, v_dot(d, slab->n), u, v, &own_s, &own_t);
-        s = own_s;
-        t = own_t;
-        if (cube) {
-            /* the cell by the rectangle's middle, where no rounding can cross a border */
-            double mu = u0 + 0.5 * width, mv = v0 + 0.5 * height;
-            lmg_vec3 middle = line_from(q, mu, mv);
-            lmg_slab_st(slab, middle, v_dot(middle, slab->n), mu, mv, &s, &t);
+        float cu = within((u - slab->u0) * scale[0], (double)iu), cv = within((v - slab->v0) * scale[1], (double)iv);
+        if (!cube) {
+            all += weight;
+            x += weight * (double)cu;
+            y += weight * (double)cv;
+            continue;
         }
-        if (!lmg_in_st(slab, s, slab->s0, slab->s1) || !lmg_in_st(slab, t, slab->t0, slab->t1))
+        if (window && u >= window->u0 && u < window->u1 && v >= window->v0 && v < window->v1 &&
+            lmg_in_st(window, middle_s, window->s0, window->s1) && lmg_in_st(window, middle_t, window->t0, window->t1))
             continue;
-        if (window && u >= window->u0 && u < window->u1 && v >= window->v0 && v < window->v1 && lmg_in_st(window, s, window->s0, window->s1) &&
-            lmg_in_st(window, t, window->t0, window->t1))
-            continue;
-        double r2 = v_dot(d, d);
-        uint32_t is = lmg_cell_of(s, slab->s0, scale[2], slab->ns), it = lmg_cell_of(t, slab->t0, scale[3], slab->nt);
-        const lmg_place place = {((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is, it * slab->ns + is,
-                                 {within((u - slab->u0) * scale[0], (double)iu), within((v - slab->v0) * scale[1], (double)iv),
-                                  within((own_s - slab->s0) * scale[2], is), within((own_t - slab->t0) * scale[3], it)}};
-        if (!lmg_cell_sum_add(q->sum, q->field, q->j, &place, 0.25 * width * height * facing * fabs(q->h) / (r2 * r2)))
+        lmg_slab_st(slab, d, v_dot(d, slab->n), u, v, &s, &t);
+        uint32_t is = lmg_cell_of(middle_s, slab->s0, scale[2], slab->ns), it = lmg_cell_of(middle_t, slab->t0, scale[3], slab->nt);
+        const lmg_place place = {((iv * slab->nu + iu) * slab->nt + it) * slab->ns + is,
+                                 it * slab->ns + is,
+                                 {cu, cv, within((s - slab->s0) * scale[2], is), within((t - slab->t0) * scale[3], it)}};
+        if (!lmg_cell_sum_add(q->sum, q->field, q->j, &place, weight))
             return false;
     }
-    return true;
+    return !(all > 0) || add_shared(q, iu, iv, u0, v0, width, height, x / all, y / all, all);
 }
 
 /* Levels by which a piece across a border of what the slab owns is quartered; in slabs with little of the light. */
@@ -242,9 +325,10 @@ static bool add_piece(const integral *q, uint64_t iu, uint64_t iv, double u0, do
 {
     if (q->whole)
         return add_rectangle(q, iu, iv, u0, v0, width, height, false);
+    /* corners a little within: pieces end where bounds and rectangles do, and which side those belong to is a matter of rounding */
     int own = is_own(q, u0 + 0.5 * width, v0 + 0.5 * height);
     for (int k = 0; k < 4; k++)
-        own += is_own(q, u0 + (k % 2) * width, v0 + (k / 2) * height);
+        own += is_own(q, u0 + (k % 2 ? 1 - 0x1p-16 : 0x1p-16) * width, v0 + (k / 2 ? 1 - 0x1p-16 : 0x1p-16) * height);
     if (own == 0)
         return true;
     if (own == 5 || levels == 0)
@@ -255,16 +339,16 @@ static bool add_piece(const integral *q, uint64_t iu, uint64_t iv, double u0, do
     return true;
 }
 
-static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_vec3 point, lmg_vec3 normal, double rgb[3], double *variance,
-                                      lmg_cell_sum *sum, bool everywhere, lmg_error *err)
+static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_vec3 point, lmg_vec3 normal, double rgb[3],
+                                      double *variance, lmg_cell_sum *sum, bool everywhere, lmg_error *err)
 {
     const lmg_slab *slab = &field->layout.slabs[j];
     const lmg_etendue *e = &field->sampler->etendue[j];
     const double *scale = field->sampler->plan.scale[j];
     lmg_vec3 w = v_sub(point, slab->o), extent = v_sub(field->layout.bounds_max, field->layout.bounds_min);
     double h = v_dot(w, slab->n), pu = v_dot(w, slab->a), pv = v_dot(w, slab->b);
-    /* Nearer to an aperture's plane than a 64th of a cell, what is integrated is a spike between the points of the rule (of cube slabs the
-     * cuts follow it): such a point counts as one at that distance, where it sees the same cells. */
+    /* Nearer to an aperture's plane than a 64th of a cell, what is integrated is a spike between the points of the rule (of cube
+     * slabs the cuts follow it): such a point counts as one at that distance, where it sees the same cells. */
     double least = d_max((slab->u1 - slab->u0) / slab->nu, (slab->v1 - slab->v0) / slab->nv) * (4.0 / MAX_PIECES);
     if (slab->kind == LMG_SLAB_APERTURE && h != 0 && fabs(h) < least) {
         double at = h < 0 ? -least : least;
@@ -273,17 +357,25 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
     }
     bool within = lmg_box_contains(field->layout.bounds_min, field->layout.bounds_max, point);
     /* A plane that lies ahead of the light (h < 0) counts for points beside the bounds, and only where it sticks out of them. */
-    if (h == 0 || field->slabs[j].flux == 0 || (h < 0 && (e->inside || within || !lmg_box_behind(field->layout.bounds_min, field->layout.bounds_max, slab->n, point))))
+    if (h == 0 || field->slabs[j].flux == 0 ||
+        (h < 0 && (e->inside || within || !lmg_box_behind(field->layout.bounds_min, field->layout.bounds_max, slab->n, point))))
         return LMG_OK;
-    /* a window alone is told by coordinates, exactly where its borders are borders of cells, as lmg_layout_fit makes them */
-    const lmg_slab *window = e->inside && e->aligned_overlap && e->higher_count == 1 ? &field->layout.slabs[e->higher[0]] : NULL;
-    bool downstream = !within || h > 0;
-    const integral q = {field, j, slab, point, normal, h, (lmg_etendue_is_full(e) || window) && downstream, window, sum};
+    const lmg_slab *window = NULL;
+    uint32_t windows = 0;
+    for (uint32_t k = 0; k < e->higher_count; k++)
+        if (lmg_same_frame(&field->layout.slabs[e->higher[k]], slab)) {
+            window = &field->layout.slabs[e->higher[k]];
+            windows++;
+        }
+    window = windows == 1 ? window : NULL;
+    bool whole = e->inside && e->higher_count == windows && windows <= 1 && (!within || h > 0);
+    const integral q = {field, j, slab, point, normal, h, whole, window, sum};
     int levels = field->slabs[j].flux < FAINT * field->sampler->flux ? FAINT_BORDER_LEVELS : BORDER_LEVELS;
     /* cube slabs: only the part of the plane seen at slopes up to 1 */
     bool cube = slab->kind == LMG_SLAB_CUBE;
     double reach = cube ? fabs(h) : (double)INFINITY;
-    double u0 = d_max(slab->u0, pu - reach), u1 = d_min(slab->u1, pu + reach), v0 = d_max(slab->v0, pv - reach), v1 = d_min(slab->v1, pv + reach);
+    double u0 = d_max(slab->u0, pu - reach), u1 = d_min(slab->u1, pu + reach), v0 = d_max(slab->v0, pv - reach),
+           v1 = d_min(slab->v1, pv + reach);
     if (!(u1 > u0 && v1 > v0))
         return LMG_OK;
     /* s = (pu - u) / h, or u + D (pu - u) / h; at u = pu it is 0 or pu */
@@ -302,7 +394,8 @@ static lmg_result illuminance_of_slab(const lmg_field *field, uint32_t j, lmg_ve
             if (!(a > 0 && b > 0))
                 continue;
             double du = d_clamp(pu, a0, a0 + a) - pu, dv = d_clamp(pv, b0, b0 + b) - pv, nearest = sqrt(h * h + du * du + dv * dv);
-            uint64_t iu = lmg_cell_of(a0 + 0.5 * a, slab->u0, scale[0], slab->nu), iv = lmg_cell_of(b0 + 0.5 * b, slab->v0, scale[1], slab->nv);
+            uint64_t iu = lmg_cell_of(a0 + 0.5 * a, slab->u0, scale[0], slab->nu),
+                     iv = lmg_cell_of(b0 + 0.5 * b, slab->v0, scale[1], slab->nv);
             if (!everywhere && sees_none(&q, iu, iv, a0, b0, a, b, nearest))
                 continue;
             double wanted_u = 4 * a / nearest, wanted_v = 4 * b / nearest;
@@ -334,8 +427,8 @@ lmg_result lmg_field_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec
     return lmg_illuminance(field, point, normal, false, rgb, standard_error, err);
 }
 
-lmg_result lmg_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, bool everywhere, double rgb[3], double *standard_error,
-                           lmg_error *err)
+lmg_result lmg_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 normal, bool everywhere, double rgb[3],
+                           double *standard_error, lmg_error *err)
 {
     double variance = 0;
     lmg_cell_sum sum = {.errors = standard_error != NULL};
@@ -343,8 +436,8 @@ lmg_result lmg_illuminance(const lmg_field *field, lmg_vec3 point, lmg_vec3 norm
     if (standard_error)
         *standard_error = 0;
     if (!v_finite(point) || !(fabs(v_length(normal) - 1) < 1e-6))
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "illuminance: the point must be finite and the normal (%g %g %g) of length 1", normal.x, normal.y,
-                        normal.z);
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "illuminance: the point must be finite and the normal (%g %g %g) of length 1",
+                        normal.x, normal.y, normal.z);
     lmg_result r = LMG_OK;
     for (uint32_t j = 0; r == LMG_OK && j < field->layout.slab_count; j++)
         r = illuminance_of_slab(field, j, point, normal, rgb, &variance, &sum, everywhere, err);
@@ -363,7 +456,8 @@ lmg_result lmg_field_intensity(const lmg_field *field, lmg_vec3 direction, doubl
     if (standard_error)
         *standard_error = 0;
     if (!(fabs(v_length(direction) - 1) < 1e-6))
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "intensity: the direction (%g %g %g) must have length 1", direction.x, direction.y, direction.z);
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "intensity: the direction (%g %g %g) must have length 1", direction.x, direction.y,
+                        direction.z);
     const lmg_plan *plan = &field->sampler->plan;
     int class = lmg_direction_class(direction);
     for (uint32_t j = 0; j < field->layout.slab_count; j++) {
@@ -372,7 +466,8 @@ lmg_result lmg_field_intensity(const lmg_field *field, lmg_vec3 direction, doubl
         double dn = v_dot(direction, slab->n);
         if (!(dn > 0) || field->slabs[j].flux == 0 || (slab->kind == LMG_SLAB_CUBE && class != lmg_direction_class(slab->n)))
             continue;
-        /* One direction: a cell counts with the (u,v) area that is its own; where (s,t) isn't the direction alone, by 24 x 24 points. */
+        /* One direction: a cell counts with the (u,v) area that is its own; where (s,t) isn't the direction alone, by 24 x 24
+         * points. */
         bool full = lmg_etendue_is_full(e);
         int pieces_each = e->directions ? 1 : 24;
         double width = 1 / (plan->scale[j][0] * pieces_each), height = 1 / (plan->scale[j][1] * pieces_each);
@@ -381,22 +476,25 @@ lmg_result lmg_field_intensity(const lmg_field *field, lmg_vec3 direction, doubl
                 for (int k = 0; k < pieces_each * pieces_each; k++) {
                     double u0 = slab->u0 + width * (iu * (uint32_t)pieces_each + (uint32_t)(k % pieces_each));
                     double v0 = slab->v0 + height * (iv * (uint32_t)pieces_each + (uint32_t)(k / pieces_each));
-                    double u = u0 + 0.5 * width, v = v0 + 0.5 * height, uvst[4] = {u, v, 0, 0}, own[4], k0, k1, piece = width * height;
+                    double u = u0 + 0.5 * width, v = v0 + 0.5 * height, uvst[4] = {u, v, 0, 0}, own[4], k0, k1,
+                           piece = width * height;
                     lmg_vec3 from = v_fma(v_fma(slab->o, u, slab->a), v, slab->b);
                     lmg_slab_st(slab, direction, dn, u, v, &uvst[2], &uvst[3]);
                     if (!lmg_in_st(slab, uvst[2], slab->s0, slab->s1) || !lmg_in_st(slab, uvst[3], slab->t0, slab->t1))
                         continue;
                     if (!full && e->directions)
                         piece = lmg_etendue_area(e, u0, u0 + width, v0, v0 + height, direction, own);
-                    else if (!full && (lmg_plan_owner(plan, from, direction, own) != (int)j ||
-                                       !lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, from, direction, &k0, &k1)))
+                    else if (!full &&
+                             (lmg_plan_owner(plan, from, direction, own) != (int)j ||
+                              !lmg_box_interval(field->layout.bounds_min, field->layout.bounds_max, from, direction, &k0, &k1)))
                         continue;
                     if (!(piece > 0))
                         continue;
                     uint64_t is = lmg_cell_of(uvst[2], slab->s0, plan->scale[j][2], slab->ns);
                     uint64_t it = lmg_cell_of(uvst[3], slab->t0, plan->scale[j][3], slab->nt);
                     /* a whole (u,v) cell, at the mean of its slopes, its middle */
-                    const lmg_place place = {(((uint64_t)iv * slab->nu + iu) * slab->nt + it) * slab->ns + is, (uint32_t)(it * slab->ns + is),
+                    const lmg_place place = {(((uint64_t)iv * slab->nu + iu) * slab->nt + it) * slab->ns + is,
+                                             (uint32_t)(it * slab->ns + is),
                                              {0, 0, within((uvst[2] - slab->s0) * plan->scale[j][2], (double)is),
                                               within((uvst[3] - slab->t0) * plan->scale[j][3], (double)it)}};
                     if (!lmg_cell_sum_add(&sum, field, j, &place, piece * dn)) {

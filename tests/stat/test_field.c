@@ -480,6 +480,39 @@ static void illuminance_is_the_integral_of_radiance(void **state)
     }
 }
 
+/* A point that moves by a rounding: illuminance moves as little, also where lines lie on borders of cells - opposite the corners of (u,v) cells
+ * of the aperture and of the bounds, and in planes of symmetry.  1e-10 sizes are 1e-8 of a cell; the cells' contrast (two decades) and as many
+ * borders as a point sees, some ten, make that 1e-6 at worst.  A single point of a rule that changes its cell is 1e-5 to 1e-2. */
+static void illuminance_is_continuous(void **state)
+{
+    (void)state;
+    for (int variant = 0; variant < 5; variant++) {
+        lmg_field *f = variant < 4 ? random_field(variant, 5) : lamp_field(LAMP_SPOT, 6, 300000, &(lmg_fit_options){.cells = 60000});
+        const lmg_layout *l = lmg_field_layout(f);
+        const lmg_slab *s = &l->slabs[l->slab_count > 1 && variant < 2 ? 1 : 0];
+        const double lo = dot(l->bounds_min, s->n), hi = dot(l->bounds_max, s->n), face = fmax(lo, hi);
+        double worst = 0;
+        for (int i = 0; i < 25; i++) {
+            /* corners of cells, then the axis and the diagonal through the middle */
+            double u = s->u0 + (s->u1 - s->u0) * (i % 5) / s->nu, v = s->v0 + (s->v1 - s->v0) * (i / 5) / s->nv;
+            if (i % 5 == 4)
+                v = 0.5 * (s->v0 + s->v1);
+            double away = (0.25 + 0.5 * (i % 3)) * l->size, rgb[2][3], se;
+            lmg_vec3 p = add(add(add(s->o, u, s->a), v, s->b), face + away - dot(s->o, s->n), s->n), n = add((lmg_vec3){0, 0, 0}, -1, s->n);
+            assert_int_equal(lmg_field_illuminance(f, p, n, rgb[0], &se, NULL), LMG_OK);
+            for (int k = 0; k < 6; k++) {
+                const double by = (k % 2 ? -1e-10 : 1e-10) * l->size;
+                const lmg_vec3 q = {p.x + by * (k / 2 == 0), p.y + by * (k / 2 == 1), p.z + by * (k / 2 == 2)};
+                assert_int_equal(lmg_field_illuminance(f, q, n, rgb[1], &se, NULL), LMG_OK);
+                worst = fmax(worst, fabs(rgb[1][1] / rgb[0][1] - 1));
+            }
+        }
+        print_message("variant %d: illuminance changes by %.2g over 1e-10 sizes\n", variant, worst);
+        assert_true(worst < 1e-6);
+        lmg_field_destroy(f);
+    }
+}
+
 /* What illuminance passes over without looking carries no light: the sum with and without is the same to rounding. */
 static void illuminance_skips_only_darkness(void **state)
 {
@@ -922,6 +955,7 @@ int main(void)
         cmocka_unit_test(darkness_beside_a_globe),
         cmocka_unit_test(error_bars_are_honest),
         cmocka_unit_test(illuminance_is_the_integral_of_radiance),
+        cmocka_unit_test(illuminance_is_continuous),
         cmocka_unit_test(illuminance_skips_only_darkness),
         cmocka_unit_test(linear_filter),
         cmocka_unit_test(light_is_downstream),
