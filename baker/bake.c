@@ -535,8 +535,9 @@ static lmg_result resume_part(bake *b, lmg_error *err)
     return LMG_OK;
 }
 
-/* Decides which effects are simulated, and makes the tracer that does. */
-static lmg_result plan_effects(bake *b, lmg_error *err)
+/* Decides which effects are simulated, and makes the tracer that does.  A bake that is resumed is planned as when it began, however long it
+ * is to take now. */
+static lmg_result plan_effects(bake *b, double seconds, lmg_error *err)
 {
     const bake_options *o = b->options;
     bake_plan *plan = &b->report->plan;
@@ -545,7 +546,10 @@ static lmg_result plan_effects(bake *b, lmg_error *err)
     if (result == LMG_OK && o->effects_chosen)
         bake_plan_choose(b->model, o->effects, plan);
     if (result == LMG_OK && !o->effects_chosen) {
-        const bake_plan_options how = {.error = o->effects_error, .threads = o->threads};
+        const bake_plan_options how = {.error = o->effects_error,
+                                       .photons = b->resume ? bake_plan_text_photons(b->resume->texts[PART_PLAN]) : 0,
+                                       .seconds = o->photons ? 0 : seconds,
+                                       .threads = o->threads};
         result = bake_plan_make(b->model, b->tracer_of_all, o->seed, &how, plan, err);
     }
     if (result == LMG_OK)
@@ -586,7 +590,7 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     bake_report *r = b->report;
     const double seconds = o->seconds > 0 ? o->seconds : DEFAULT_SECONDS;
     const double began = bake_clock();
-    lmg_result result = plan_effects(b, err);
+    lmg_result result = plan_effects(b, seconds, err);
     if (result == LMG_OK)
         result = bake_part_create(&b->part, err);
     if (result == LMG_OK)

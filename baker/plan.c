@@ -23,10 +23,10 @@ enum { GROUPS = 16, SIDE = 32, CELLS = 6 * SIDE * SIDE, COARSEN = 8, COARSE_CELL
 
 /* Photons of the plan are numbered from here on, apart from those of bake and pilot. */
 static const uint64_t PLAN_FIRST = UINT64_C(1) << 61;
-/* A run is this long at most, and all together trace about so many segments: under a second on two cores, well under a twentieth of a
- * bake of a minute. */
+/* A run is this long at most, and all together trace about so many segments: a second or two on two cores, a twentieth of a bake of a
+ * minute at most.  Of shorter bakes both are a share: a plan by fewer photons leaves less out, which costs a short bake little. */
 static const uint64_t RUN_PHOTONS = 65536, RUN_LEAST = 2048;
-static const double ALL_SEGMENTS = 6e6;
+static const double ALL_SEGMENTS = 6e6, FULL_SECONDS = 60;
 /* The first look, before it is known how long paths are. */
 static const uint64_t PROBE_PHOTONS = 512;
 /* Counts are in 2^-20 of a photon: far below its noise. */
@@ -383,9 +383,11 @@ lmg_result bake_plan_make(const lum_model *model, const bake_source *tracer, uin
     if (result == LMG_OK)
         result = bake_tracer_survey(tracer, PLAN_FIRST, PROBE_PHOTONS, o->threads, &probe, err);
     if (result == LMG_OK) {
+        const double work = o->seconds > 0 ? fmin(o->seconds / FULL_SECONDS, 1) : 1;
         plan->photons = o->photons ? o->photons : RUN_PHOTONS;
         const double segments = (double)probe.segments / (double)PROBE_PHOTONS * ((double)plan->count + 2);
-        while (!o->photons && plan->photons > RUN_LEAST && (double)plan->photons * segments > ALL_SEGMENTS)
+        while (!o->photons && plan->photons > RUN_LEAST &&
+               ((double)plan->photons > work * (double)RUN_PHOTONS || (double)plan->photons * segments > work * ALL_SEGMENTS))
             plan->photons /= 2;
         result = bake_tracer_survey(tracer, PLAN_FIRST, plan->photons, o->threads, &survey, err);
     }
@@ -476,4 +478,10 @@ char *bake_plan_text(const bake_plan *plan)
                                  met, changes, e->why);
     }
     return text;
+}
+
+uint64_t bake_plan_text_photons(const char *text)
+{
+    uint64_t photons = 0;
+    return text && sscanf(text, "error asked for %*f %%, %" SCNu64 " photons a run", &photons) == 1 ? photons : 0;
 }

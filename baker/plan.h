@@ -6,7 +6,7 @@
  * stand-in (effects.h) does its work - total flux, far field, near field, colour - the same photon numbers traced with and without.
  * An effect is left out when all these changes, with their confidence bounds, stay under the error asked for, and those of everything
  * that is left out add up to no more.  Polarization is the other way round: it is simulated only when the run shows that it matters.
- * The plan depends on model, seed, error and photons alone: not on threads or speed.
+ * The plan depends on model, seed and options alone: not on threads or speed.
  */
 #ifndef BAKER_PLAN_H
 #define BAKER_PLAN_H
@@ -48,7 +48,8 @@ typedef struct bake_plan {
 
 typedef struct bake_plan_options {
     double error;      /* 0: BAKE_PLAN_ERROR */
-    uint64_t photons;  /* of each run; 0: 65,536, fewer where they are slow */
+    uint64_t photons;  /* of each run; 0: 65,536, fewer where they are slow or the bake is short */
+    double seconds;    /* that the bake is to take; 0: not known, or a minute or more */
     unsigned threads;  /* 0 = all cores */
 } bake_plan_options;
 
@@ -64,6 +65,8 @@ void bake_plan_choose(const lum_model *model, uint32_t effects, bake_plan *plan)
 
 /* The plan as text of several lines, without what depends on the machine; to be freed; NULL: no memory. */
 char *bake_plan_text(const bake_plan *plan);
+/* The photons of each run, of a plan whose text that is; 0 where it doesn't say (text may be NULL). */
+uint64_t bake_plan_text_photons(const char *text);
 
 /* Which materials have an effect, and the nodes where: "\"Glass\" (bulb), ..."; cut off where text is full. */
 void bake_plan_where(const lum_model *model, bake_effect effect, char *text, size_t size);

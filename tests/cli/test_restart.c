@@ -121,6 +121,32 @@ static void test_seven_uneven_parts(void **state)
     release(&o);
 }
 
+static uint64_t photons_of(const char *const *args)
+{
+    outcome o = run_args(args);
+    if (o.code != 0)
+        fail_msg("exit code %d: %s", o.code, o.err);
+    json_t *j = json_loads(o.out, 0, NULL);
+    const uint64_t photons = (uint64_t)json_integer_value(json_object_get(j, "photons"));
+    json_decref(j);
+    release(&o);
+    return photons;
+}
+
+/* A bake by time goes on for longer, and by photons, with the plan it began with: those of short bakes are made of fewer photons. */
+static void test_more_time(void **state)
+{
+    (void)state;
+    const name box = path_of("time.box.exr");
+#define TIMED(...) photons_of((const char *const[]){"bake", globe, "-o", box.text, "--cells", "1e5", "--keep", "--json", "-q", __VA_ARGS__, NULL})
+    const uint64_t some = TIMED("--time", "0.1s"), more = TIMED("--resume", "--time", "3s");
+    assert_true(more > some);
+    char all[24];
+    snprintf(all, sizeof(all), "%llu", (unsigned long long)more + 1000);
+    assert_int_equal(TIMED("--resume", "--photons", all), more + 1000);
+#undef TIMED
+}
+
 static void test_shares(void **state)
 {
     (void)state;
@@ -459,7 +485,7 @@ int main(int argc, char **argv)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_seven_uneven_parts),      cmocka_unit_test(test_shares),
         cmocka_unit_test(test_strangers_are_refused),   cmocka_unit_test(test_damaged_parts),
-        cmocka_unit_test(test_interrupted_and_resumed), cmocka_unit_test(test_killed_and_resumed),
+        cmocka_unit_test(test_more_time), cmocka_unit_test(test_interrupted_and_resumed), cmocka_unit_test(test_killed_and_resumed),
         cmocka_unit_test(test_more_photons),            cmocka_unit_test(test_mpi),
     };
     return cmocka_run_group_tests_name("restart", tests, setup, NULL);

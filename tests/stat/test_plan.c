@@ -551,12 +551,44 @@ static void test_nothing_changes(void **state)
     }
 }
 
+/* A plan costs a short bake a share of its time: of six seconds at most a tenth of a minute's photons, down to those that a plan needs at
+ * least; and its text tells how many there were. */
+static void test_short_bakes(void **state)
+{
+    (void)state;
+    lmg_error err = {{0}};
+    lum_model *m;
+    if (lum_model_load(LUMIBOX_BINARY_DIR "/models/opal-globe/opal-globe.gltf", NULL, &m, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    bake_source *s = tracer_with(m, UINT32_MAX);
+    static const double SECONDS[3] = {0.01, 6, 6000};
+    uint64_t photons[3];
+    for (int i = 0; i < 3; ++i) {
+        bake_plan plan;
+        if (bake_plan_make(m, s, 5, &(bake_plan_options){.seconds = SECONDS[i]}, &plan, &err) != LMG_OK)
+            fail_msg("%s", err.message);
+        photons[i] = plan.photons;
+        char *text = bake_plan_text(&plan);
+        assert_non_null(text);
+        assert_int_equal(bake_plan_text_photons(text), plan.photons);
+        free(text);
+    }
+    assert_int_equal(photons[0], 2048);
+    assert_true(10 * photons[1] <= 65536 && photons[1] >= photons[0]);
+    assert_true(photons[2] > photons[1]);
+    assert_int_equal(bake_plan_text_photons(NULL), 0);
+    assert_int_equal(bake_plan_text_photons("effects chosen by the user"), 0);
+    s->destroy(s);
+    lum_model_destroy(m);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_nothing_is_missed),
         cmocka_unit_test(test_unreached_is_left_out),
         cmocka_unit_test(test_error_decides),
+        cmocka_unit_test(test_short_bakes),
         cmocka_unit_test(test_threads_dont_matter),
         cmocka_unit_test(test_names),
         cmocka_unit_test(test_nothing_changes),
