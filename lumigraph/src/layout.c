@@ -87,7 +87,7 @@ static double cut_focus(lmg_judge *judge, lmg_slab *focus, double most)
         double worth = cells > 0 ? WORTH / LMG_GOOD_RADIANCE / LMG_GOOD_RADIANCE : 0;
         for (size_t k = 0; k < sizeof BIASES / sizeof *BIASES; k++) {
             lmg_focus_cut(focus, n, BIASES[k]);
-            const lmg_verdict v = lmg_judge_slabs(judge, focus, 1, true);
+            const lmg_verdict v = lmg_judge_slabs(judge, focus, 1, true, error - worth);
             if (!(v.error < error - worth))
                 continue;
             worth = 0;
@@ -125,8 +125,8 @@ static lmg_verdict search_opening(lmg_pilot *pl, lmg_judge *judge, lmg_choice *o
     lmg_slab slabs[LMG_CHOICE_SLABS];
     lmg_choice_search(pl, judge, &with);
     lmg_judge_set_square(judge, fmax(square, lmg_judge_square(judge)));
-    const lmg_verdict v = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, &with, slabs), false);
-    without = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, opening, slabs), false);
+    const lmg_verdict v = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, &with, slabs), false, INFINITY);
+    without = lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, opening, slabs), false, INFINITY);
     if (!lmg_better(v, without, FOCUS_GAIN, LMG_LIKELY))
         return without;
     *opening = with;
@@ -257,7 +257,7 @@ lmg_result lmg_layout_fit(const lmg_ray *rays, size_t count, const lmg_fit_optio
             for (int c = 0; c < 6; c++)
                 if (class_flux[c] > 0)
                     n += lmg_choice_slabs(&pl, &cube[c], slabs + n);
-            cube_error = lmg_judge_slabs(judge, slabs, n, false);
+            cube_error = lmg_judge_slabs(judge, slabs, n, false, INFINITY);
         }
     }
     bool use_aperture = options->choice == LMG_LAYOUT_APERTURE ||

@@ -36,9 +36,10 @@ bool lmg_better(lmg_verdict x, lmg_verdict than, double gain, double standard_er
 #define LMG_CLEAR 1.0
 #define LMG_CERTAIN 2.0
 
-/* What the slabs' cells do to the light; rays that no slab holds count as lost.  by_radiance: judges that alone, for a fifth of the
- * time. */
-lmg_verdict lmg_judge_slabs(lmg_judge *judge, const lmg_slab *slabs, uint32_t slab_count, bool by_radiance);
+/* What the slabs' cells do to the light; rays that no slab holds count as lost.  by_radiance: judges that alone, which is quicker.
+ * Where the error is certainly above the limit that is found out by some of the rays: its measures may be missing then, and the
+ * error infinite.  INFINITY: judges by all rays. */
+lmg_verdict lmg_judge_slabs(lmg_judge *judge, const lmg_slab *slabs, uint32_t slab_count, bool by_radiance, double limit);
 
 /* Integral of the squared radiance over etendue, in (pilot's flux)^2/(m2 sr), that the slabs' cells keep, noise aside; *pairs: of
  * rays in one cell, which is what it's known by. */

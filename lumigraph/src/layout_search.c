@@ -116,10 +116,10 @@ uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out
     return count;
 }
 
-static lmg_verdict judge_choice(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice *c, bool by_radiance)
+static lmg_verdict judge_choice(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice *c, bool by_radiance, double limit)
 {
     lmg_slab slabs[LMG_CHOICE_SLABS];
-    return lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, c, slabs), by_radiance);
+    return lmg_judge_slabs(judge, slabs, lmg_choice_slabs(pl, c, slabs), by_radiance, limit);
 }
 
 /* Whether a ray is one that the choice's slab is for. */
@@ -185,6 +185,15 @@ static bool fit_rectangle_to(const lmg_pilot *pl, lmg_choice *c, size_t stride)
         c->rect[2 * axis] = lo;
         c->rect[2 * axis + 1] = hi;
     }
+    return true;
+}
+
+/* To all rays, whose flux in it is summed up. */
+static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
+{
+    if (!fit_rectangle_to(pl, c, 1))
+        return false;
+    const lmg_slab s = frame_of(pl, c);
     c->flux = 0;
     for (size_t i = 0; i < pl->count; i++) {
         double u, v, dn = v_dot(pl->direction[i], s.n);
@@ -195,11 +204,6 @@ static bool fit_rectangle_to(const lmg_pilot *pl, lmg_choice *c, size_t stride)
             c->flux += pl->flux[i];
     }
     return true;
-}
-
-static bool fit_rectangle(const lmg_pilot *pl, lmg_choice *c)
-{
-    return fit_rectangle_to(pl, c, 1);
 }
 
 /* Depth of the (u,v) plane between lo and hi where the light is narrowest: least area of the rectangle. */
@@ -231,9 +235,9 @@ static void narrowest_depth(const lmg_pilot *pl, lmg_choice *c, double lo, doubl
 }
 
 /* Fits the rectangle, and judges by radiance: a plane that is good for that is good for what falls on planes near and far. */
-static lmg_verdict cost(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
+static lmg_verdict cost(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, double limit)
 {
-    return fit_rectangle_to(pl, c, SCAN) ? judge_choice(pl, judge, c, true) : (lmg_verdict){.error = INFINITY};
+    return fit_rectangle_to(pl, c, SCAN) ? judge_choice(pl, judge, c, true, limit) : (lmg_verdict){.error = INFINITY};
 }
 
 /* From the depth that the choice has to wherever else its cells do clearly less harm. */
@@ -244,14 +248,14 @@ static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, d
     const double cells = c->cells;
     c->cells = fmin(cells, 0.5 * (double)pl->count * (double)pl->count / PAIRS);
     double at = c->depth, step = (hi - lo) / steps;
-    lmg_verdict best = cost(pl, judge, c);
+    lmg_verdict best = cost(pl, judge, c, INFINITY);
     for (int round = 0; round < 3; round++, step *= 0.3) {
         double centre = at;
         for (int k = round ? -1 : 0; k <= (round ? 1 : steps); k++) {
             if (round && k == 0)
                 continue;
             c->depth = round ? d_clamp(centre + k * step, lo, hi) : lo + step * k;
-            lmg_verdict e = cost(pl, judge, c);
+            lmg_verdict e = cost(pl, judge, c, GAIN * best.error);
             if (lmg_better(e, best, GAIN, LMG_CERTAIN)) {
                 best = e;
                 at = c->depth;
@@ -355,7 +359,7 @@ static lmg_verdict share_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
                     *bias *= biases[k];
                 if (what < 2 && (*bias < 0.05 || *bias > 20))
                     continue;
-                lmg_verdict e = judge_choice(pl, judge, &t, false);
+                lmg_verdict e = judge_choice(pl, judge, &t, false, GAIN * best.error);
                 if (lmg_better(e, best, GAIN, LMG_LIKELY)) {
                     best = e;
                     *c = t;
@@ -373,7 +377,7 @@ static lmg_verdict fewer_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
 {
     for (lmg_choice t = *c; c->fewer && t.cells >= 2 * FEWEST;) {
         t.cells *= 0.5;
-        const lmg_verdict e = judge_choice(pl, judge, &t, false);
+        const lmg_verdict e = judge_choice(pl, judge, &t, false, best.error);
         if (e.error >= best.error)
             continue;
         best = e;
@@ -397,7 +401,7 @@ static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choi
             t.cells = fmin(c->cells, fmax(c->cells * pow(5, -fewer), FEWEST));
             t.window_bias = fmax(c->bias, 0.25);
             memcpy(t.st, rects[k], sizeof t.st);
-            lmg_verdict e = judge_choice(pl, judge, &t, false);
+            lmg_verdict e = judge_choice(pl, judge, &t, false, gain * best.error);
             if (!lmg_better(e, best, gain, kept.window ? LMG_LIKELY : LMG_CERTAIN))
                 continue;
             gain = GAIN; /* any window is that much worth; a better one less */
@@ -445,7 +449,7 @@ lmg_verdict lmg_choice_search(lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
     pl->photons = 0;
     search_depth(pl, judge, c, centre - depth, centre + depth, 16);
     pl->photons = photons;
-    lmg_verdict best = fewer_cells(pl, judge, c, judge_choice(pl, judge, c, false));
+    lmg_verdict best = fewer_cells(pl, judge, c, judge_choice(pl, judge, c, false, INFINITY));
     best = share_cells(pl, judge, c, best);
     bool may_window = !(c->fixed && (c->fixed[2] || c->fixed[3])) && (c->kind == LMG_SLAB_APERTURE || isinf(c->distance));
     if (may_window)
@@ -455,7 +459,7 @@ lmg_verdict lmg_choice_search(lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
         pl->photons = 0;
         search_depth(pl, judge, c, centre - depth, centre + depth, 12);
         pl->photons = photons;
-        best = share_cells(pl, judge, c, judge_choice(pl, judge, c, false));
+        best = share_cells(pl, judge, c, judge_choice(pl, judge, c, false, INFINITY));
         best = fewer_cells(pl, judge, c, best);
     }
     return best;

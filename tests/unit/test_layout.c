@@ -11,6 +11,7 @@
 
 #include "geometry.h"
 #include "lamp_fixture.h"
+#include "layout_columns.h"
 #include "layout_search.h"
 
 #include <math.h>
@@ -107,17 +108,18 @@ static void errors_of_radiance(void **state)
     lmg_judge *judge = lmg_judge_create(&pl, 0, true);
     lmg_judge_set_square(judge, (double)pl.count * (double)pl.count / (LMG_PI * 0.18));
     lmg_slab s = square_slab(LMG_SLAB_APERTURE, 1);
-    assert_near(lmg_judge_slabs(judge, &s, 1, true).radiance, 0.5, 1e-4);
+    assert_near(lmg_judge_slabs(judge, &s, 1, true, INFINITY).radiance, 0.5, 1e-4);
     s.nu = s.nv = 2;
-    assert_near(lmg_judge_slabs(judge, &s, 1, true).radiance, 0, 3 / sqrt(0.25 * (double)n * (double)n)); /* four cells, two lit */
+    assert_near(lmg_judge_slabs(judge, &s, 1, true, INFINITY).radiance, 0,
+                3 / sqrt(0.25 * (double)n * (double)n)); /* four cells, two lit */
     s.nu = s.nv = 16;
     s.ns = s.nt = 8;
     /* twice the square, since errors below 0 are cut off */
     lmg_judge_set_square(judge, 2 * (double)pl.count * (double)pl.count / (LMG_PI * 0.18));
     pl.photons = (double)n;
-    const lmg_verdict noisy = lmg_judge_slabs(judge, &s, 1, true);
+    const lmg_verdict noisy = lmg_judge_slabs(judge, &s, 1, true, INFINITY);
     pl.photons = 0;
-    const lmg_verdict clean = lmg_judge_slabs(judge, &s, 1, true);
+    const lmg_verdict clean = lmg_judge_slabs(judge, &s, 1, true, INFINITY);
     assert_near(noisy.radiance - clean.radiance, 0.5 * 128 * 64 / (double)n,
                 1e-6); /* lit cells over photons: the same rays; etendue in floats */
     /* The edge between lit and dark lies in the middle of a row of cells that is 0.2 m high: illuminance near by notices, and is
@@ -126,12 +128,86 @@ static void errors_of_radiance(void **state)
     double error[2];
     for (int i = 0; i < 2; i++) {
         s.nu = s.nv = i ? 3 : 7;
-        error[i] = lmg_judge_slabs(judge, &s, 1, false).illuminance;
+        error[i] = lmg_judge_slabs(judge, &s, 1, false, INFINITY).illuminance;
     }
     assert_true(error[1] > 1e-3 && error[0] < 0.25 * error[1]);
     lmg_judge_destroy(judge);
     lmg_pilot_destroy(&pl);
     free(rays);
+}
+
+/* Candidates are judged by all rays if they are below a limit, however closely, and given up if they are far above it. */
+static void hopeless_candidates_are_given_up(void **state)
+{
+    (void)state;
+    lmg_ray *rays;
+    lmg_pilot pl = pilot_of(LAMP_LOUVRE, &rays);
+    pl.size = 0.85;                                    /* its diagonal */
+    lmg_judge *judge = lmg_judge_create(&pl, 3, true); /* -y */
+    assert_non_null(judge);
+    lmg_slab s = {.kind = LMG_SLAB_APERTURE, .u0 = -0.3, .u1 = 0.3, .v0 = -0.3, .v1 = 0.3, .s0 = -1, .s1 = 1, .t0 = -1, .t1 = 1};
+    lmg_class_frame(3, &s.a, &s.b, &s.n);
+    double pairs;
+    s.nu = s.nv = s.ns = s.nt = 24;
+    lmg_judge_set_square(judge, lmg_judge_kept(judge, &s, 1, &pairs));
+    for (int by_radiance = 0; by_radiance < 2; by_radiance++)
+        for (uint32_t n = 1; n < 20; n++) {
+            s.nu = s.nv = n;
+            s.ns = s.nt = 4;
+            const lmg_verdict all = lmg_judge_slabs(judge, &s, 1, by_radiance, INFINITY);
+            const lmg_verdict within = lmg_judge_slabs(judge, &s, 1, by_radiance, all.error + 1e-9);
+            assert_memory_equal(&all, &within, sizeof all);
+            /* Half of the rays have a standard error twice as large at most; four of them, twice as much for receivers that see the
+             * same, are 16 of all rays'. */
+            assert_true(all.error > 16 * all.se);
+            assert_true(isinf(lmg_judge_slabs(judge, &s, 1, by_radiance, 0).error));
+        }
+    lmg_judge_destroy(judge);
+    lmg_pilot_destroy(&pl);
+    free(rays);
+}
+
+/* Rays moved within their cells in columns are where lmg_slab_ray has them: to 2e-9, as the series for angles promises, and
+ * rounding. */
+static void columns_move_rays_as_single_ones(void **state)
+{
+    (void)state;
+    const lmg_vec3 axes[3] = {{0, 0.6, 0.8}, {1, 0, 0}, {0, 0.8, -0.6}};
+    for (int kind = 0; kind < 3; kind++) {
+        lmg_slab s = square_slab(kind ? LMG_SLAB_CUBE : LMG_SLAB_APERTURE, 5);
+        s.nu = 7;
+        s.nt = 65535;
+        if (kind == 2) {
+            s.distance = 0.4;
+            s.s1 = 0.7;
+        }
+        const double scale[4] = {s.nu / (s.u1 - s.u0), s.nv / (s.v1 - s.v0), s.ns / (s.s1 - s.s0), s.nt / (s.t1 - s.t0)};
+        lmg_members m = {.count = LMG_COLUMN};
+        lmg_ray_columns got;
+        uint64_t random = 3;
+        for (size_t i = 0; i < m.count; i++) {
+            m.within[i] = (double)((random = random * 6364136223846793005u + 1442695040888963407u) % lmg_slab_cells(&s));
+            for (int c = 0; c < 4; c++)
+                m.jitter[c][i] = (double)((random = random * 6364136223846793005u + 1442695040888963407u) >> 11) * 0x1p-53;
+        }
+        lmg_members_move(&s, scale, &m);
+        lmg_members_rays(&s, axes, &m, &got);
+        for (size_t i = 0; i < m.count; i++) {
+            const uint64_t cell = (uint64_t)m.within[i];
+            const uint32_t is = (uint32_t)(cell % s.ns), it = (uint32_t)(cell / s.ns % s.nt),
+                           iu = (uint32_t)(cell / s.ns / s.nt % s.nu), iv = (uint32_t)(cell / s.ns / s.nt / s.nu);
+            const double uvst[4] = {s.u0 + (iu + m.jitter[0][i]) / scale[0], s.v0 + (iv + m.jitter[1][i]) / scale[1],
+                                    s.s0 + (is + m.jitter[2][i]) / scale[2], s.t0 + (it + m.jitter[3][i]) / scale[3]};
+            lmg_vec3 o, d;
+            lmg_slab_ray(&s, uvst, &o, &d);
+            for (int k = 0; k < 3; k++) {
+                assert_near(got.origin[k][i], v_dot(o, axes[k]), 1e-14);
+                assert_near(got.direction[k][i], v_dot(d, axes[k]), 2e-9);
+            }
+            if (kind == 0) /* cells of equal etendue */
+                assert_near(m.inverse[i] * lmg_slab_cell_etendue(&s, iu, iv, is, it), 1, 1e-12);
+        }
+    }
 }
 
 /* A source that is seen directly is found where it is, and nothing in a panel that shines evenly. */
@@ -190,6 +266,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(pairs_of_rays_tell_the_square_of_radiance),
         cmocka_unit_test(errors_of_radiance),
+        cmocka_unit_test(hopeless_candidates_are_given_up),
+        cmocka_unit_test(columns_move_rays_as_single_ones),
         cmocka_unit_test(a_source_in_the_open_is_found),
         cmocka_unit_test(cells_go_with_photons),
     };
