@@ -56,6 +56,25 @@ const char *in_folder(const char *name)
     return path;
 }
 
+int make_folder(void **state)
+{
+    (void)state;
+    const char *base = getenv("TMPDIR");
+    snprintf(folder, sizeof(folder), "%s/lumibox-test-XXXXXX", base ? base : "/tmp");
+    if (!mkdtemp(folder))
+        return -1;
+    write_file(in_folder("stdin"), "", 0);
+    return 0;
+}
+
+int remove_folder(void **state)
+{
+    (void)state;
+    char command[1100];
+    snprintf(command, sizeof(command), "rm -rf '%s'", folder);
+    return system(command);
+}
+
 pid_t start_program(const char *program, const char *const *args)
 {
     char *argv[32] = {(char *)(uintptr_t)program};

@@ -7,8 +7,10 @@
 #include <stddef.h>
 #include <sys/types.h>
 
-/* Where a test's files go; the test says it first.  It must hold a file "stdin". */
+/* Where a test's files go; it holds a file "stdin".  A test that has no folder of its own takes the fixtures: a new one, removed after. */
 extern char folder[1024];
+int make_folder(void **state);
+int remove_folder(void **state);
 /* A path in it; the last eight stay valid. */
 const char *in_folder(const char *name);
 

@@ -253,24 +253,6 @@ static void bad_input(void **state)
     free(good);
 }
 
-static int setup(void **state)
-{
-    (void)state;
-    snprintf(folder, sizeof(folder), "%s/convert_XXXXXX", LUMIBOX_BINARY_DIR);
-    if (!mkdtemp(folder))
-        return -1;
-    write_file(in_folder("stdin"), "", 0);
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    char command[1200];
-    snprintf(command, sizeof(command), "rm -r '%s'", folder);
-    return system(command);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -279,5 +261,5 @@ int main(void)
         cmocka_unit_test(usage),
         cmocka_unit_test(bad_input),
     };
-    return cmocka_run_group_tests(tests, setup, teardown);
+    return cmocka_run_group_tests(tests, make_folder, remove_folder);
 }

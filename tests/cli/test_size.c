@@ -83,27 +83,8 @@ static void test_lossless(void **state)
     assert_true(flux[1] > 0 && fabs(flux[0] / flux[1] - 1) < 1e-6);
 }
 
-static int set_up(void **state)
-{
-    (void)state;
-    const char *base = getenv("TMPDIR");
-    snprintf(folder, sizeof(folder), "%s/lumibox-size-XXXXXX", base ? base : "/tmp");
-    if (!mkdtemp(folder))
-        return -1;
-    write_file(in_folder("stdin"), "", 0);
-    return 0;
-}
-
-static int tear_down(void **state)
-{
-    (void)state;
-    char command[1100];
-    snprintf(command, sizeof(command), "rm -rf '%s'", folder);
-    return system(command);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {cmocka_unit_test(test_size), cmocka_unit_test(test_lossless)};
-    return cmocka_run_group_tests(tests, set_up, tear_down);
+    return cmocka_run_group_tests(tests, make_folder, remove_folder);
 }

@@ -157,27 +157,8 @@ static void test_recipe(void **state)
     unlink(recipe);
 }
 
-static int set_up(void **state)
-{
-    (void)state;
-    const char *base = getenv("TMPDIR");
-    snprintf(folder, sizeof(folder), "%s/lumibox-unphysical-XXXXXX", base ? base : "/tmp");
-    if (!mkdtemp(folder))
-        return -1;
-    write_file(in_folder("stdin"), "", 0);
-    return 0;
-}
-
-static int tear_down(void **state)
-{
-    (void)state;
-    char command[1100];
-    snprintf(command, sizeof(command), "rm -rf '%s'", folder);
-    return system(command);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {cmocka_unit_test(test_gltf), cmocka_unit_test(test_recipe)};
-    return cmocka_run_group_tests(tests, set_up, tear_down);
+    return cmocka_run_group_tests(tests, make_folder, remove_folder);
 }
