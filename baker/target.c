@@ -1,8 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Bakes to a stated error: a search over photons and cells, each box judged by the lamp's own rays. */
+/* Bakes to a stated error: a search over photons, each box judged by the lamp's own rays. */
 #include "target.h"
-
-#include "size.h"
 
 #include <luminaires/model.h>
 
@@ -11,49 +9,40 @@
 
 /* The first bake, and the largest: beyond that a bake of hours would begin, which nobody should fall into by a wrong percentage. */
 static const double FIRST_PHOTONS = 1e5, MOST_PHOTONS = 1e11;
-static const uint64_t FIRST_CELLS = 1000000, MOST_CELLS = 64000000;
-/* Where the file's size is limited: the first box has a cell for each byte, within reason; four times the cells take less than so many times the bytes. */
-static const uint64_t LEAST_CELLS = 100000;
-static const double GROWTH = 3;
-/* No step multiplies the photons by more: the scale is known from small bakes only roughly. */
+/* No step multiplies the photons by more: how the error falls is known from small bakes only roughly. */
 static const double LARGEST_STEP = 16;
 /* A box this close to the error asked for is it. */
 static const double CLOSE = 0.15;
-/* A floor above this share of the error asked for costs more photons than more cells do. */
-static const double HIGH_FLOOR = 0.75;
+/* error^2 goes as photons^-slope: 1 where all of it is noise, less where more photons make finer cells worth it, 0 where cells
+ * can't get finer.  What is supposed before anything is known, with its standard deviation. */
+static const double SLOPE = 0.7, SLOPE_SD = 0.25;
+/* What a power law may be off by for each e-fold of error^2, and what the luck of one layout does to error^2: boxes of as many
+ * photons by several seeds spread by so much. */
+static const double BENT = 0.3, LAYOUT_LUCK = 0.3;
+/* Below this slope photons won't do: half the error would take a thousand times as many. */
+static const double FLAT = 0.2;
+/* Boxes with cells that differ by less have the same ones, as far as what they blur goes. */
+static const double SAME_CELLS = 0.1;
+/* A floor is one when it lies above the error asked for by so many standard errors. */
+static const double SURE = 2;
+/* A box that is off by luck alone, by what the others say: the next has so many more or fewer photons. */
+static const double NUDGE = 1.1;
+/* No limit to the file but what memory and time allow. */
+static const double MOST_BYTES = 1e9;
 /* How well the error asked for is to be known, relative: half of CLOSE is as fine as judging needs to be. */
 static const double JUDGING = 0.08;
 static const double NEAR_THE_MARK = 2;
 static const uint64_t TRIAL = 200000, MOST_JUDGING = 4000000000u;
 
 typedef struct tried {
-    double photons, square, weight; /* error^2, 1 / variance of it */
+    double x, y, variance; /* log photons, log (error / asked)^2 */
+    double cells;
 } tried;
 
-/* Weighted least squares of square = scale / photons + floor2, both >= 0. */
-static void fit(const tried *list, size_t count, double *scale, double *floor2)
-{
-    double w0 = 0, wx = 0, wxx = 0, wy = 0, wxy = 0;
-    for (size_t i = 0; i < count; ++i) {
-        const double x = 1 / list[i].photons, y = list[i].square, w = list[i].weight;
-        w0 += w, wx += w * x, wxx += w * x * x, wy += w * y, wxy += w * x * y;
-    }
-    const double determinant = w0 * wxx - wx * wx;
-    *floor2 = count > 1 && determinant > 0 ? (wxx * wy - wx * wxy) / determinant : 0;
-    *scale = count > 1 && determinant > 0 ? (w0 * wxy - wx * wy) / determinant : wxy / wxx;
-    if (*floor2 < 0) {
-        *floor2 = 0;
-        *scale = wxy / wxx;
-    } else if (*scale < 0) {
-        *scale = 0;
-        *floor2 = wy / w0;
-    }
-}
-
 /*
- * Judges a box; one that comes near the error asked for with as many photons of the lamp, and rays of the box, as it takes to know that
- * error well enough: the noise v of judging makes the variance of error^2 go as v^4, so the standard error of an error e goes as
- * 1 / (rays e).  Far off the mark a coarse judgement will do.
+ * Judges a box; one that comes near the error asked for with as many photons of the lamp, and rays of the box, as it takes to know
+ * that error well enough: the noise v of judging makes the variance of error^2 go as v^4, so the standard error of an error e goes
+ * as 1 / (rays e).  Far off the mark a coarse judgement will do.
  */
 static lmg_result judge_well(judge *j, const bake_target *target, const lmg_field *field, uint64_t *rays, judge_verdict *verdict,
                              lmg_error *err)
@@ -71,9 +60,20 @@ static lmg_result judge_well(judge *j, const bake_target *target, const lmg_fiel
     return result;
 }
 
+static uint64_t cells_of(const lmg_field *field)
+{
+    const lmg_layout *layout = lmg_field_layout(field);
+    uint64_t cells = 0;
+    for (uint32_t i = 0; i < layout->slab_count; ++i) {
+        const lmg_slab *s = &layout->slabs[i];
+        cells += (uint64_t)s->nu * s->nv * s->ns * s->nt;
+    }
+    return cells;
+}
+
 /* Keeps the box that is nearer to the error asked for; of two beyond it the better one. */
-static void keep(lmg_field **kept, lmg_field *field, bake_report *report, const bake_report *its, bake_reached *reached, bake_reached now,
-                 double wanted)
+static void keep(lmg_field **kept, lmg_field *field, bake_report *report, const bake_report *its, bake_reached *reached,
+                 bake_reached now, double wanted)
 {
     if (*kept && fabs(log(fmax(now.error.rms, 1e-9) / wanted)) >= fabs(log(fmax(reached->error.rms, 1e-9) / wanted))) {
         lmg_field_destroy(field);
@@ -86,6 +86,55 @@ static void keep(lmg_field **kept, lmg_field *field, bake_report *report, const 
     *reached = now;
 }
 
+/* The photons whose box would have the error asked for, by the boxes so far, those near to it first: a line through the logarithms,
+ * by weighted least squares with what is supposed of its slope.  0: no number of them. */
+static double photons_for_error(const tried *list, size_t count)
+{
+    double w0 = 0, wx = 0, wy = 0, across = -SLOPE / (SLOPE_SD * SLOPE_SD), along = 1 / (SLOPE_SD * SLOPE_SD);
+    for (int pass = 0; pass < 2; ++pass)
+        for (size_t i = 0; i < count; ++i) {
+            const tried *t = &list[i];
+            const double w = 1 / (t->variance + LAYOUT_LUCK * LAYOUT_LUCK + BENT * BENT * t->y * t->y);
+            if (pass == 0) {
+                w0 += w, wx += w * t->x, wy += w * t->y;
+            } else {
+                along += w * (t->x - wx / w0) * (t->x - wx / w0);
+                across += w * (t->x - wx / w0) * (t->y - wy / w0);
+            }
+        }
+    const double slope = -across / along;
+    return slope > FLAT ? exp(wx / w0 + wy / w0 / slope) : 0;
+}
+
+/* Whether the cells, which no longer get finer, blur more than was asked for: least squares of error^2 = scale / photons + floor^2
+ * through the boxes with as many cells as the last. */
+static bool floor_above(const tried *list, size_t count)
+{
+    double w0 = 0, wx = 0, wxx = 0, wy = 0, wxy = 0;
+    for (size_t i = 0; i < count; ++i) {
+        if (fabs(list[i].cells / list[count - 1].cells - 1) > SAME_CELLS)
+            continue;
+        const double x = exp(-list[i].x), y = exp(list[i].y), w = 1 / (y * y * (list[i].variance + LAYOUT_LUCK * LAYOUT_LUCK));
+        w0 += w, wx += w * x, wxx += w * x * x, wy += w * y, wxy += w * x * y;
+    }
+    const double determinant = w0 * wxx - wx * wx;
+    if (!(determinant > 1e-9 * w0 * wxx)) /* one number of photons */
+        return false;
+    const double floor2 = (wxx * wy - wx * wxy) / determinant, se = sqrt(wxx / determinant);
+    return floor2 - SURE * se > 1;
+}
+
+/* The same, in reach of what was tried last and apart from it. */
+static double next_photons(const tried *list, size_t count, double photons, double ratio)
+{
+    double next = photons_for_error(list, count);
+    if (ratio > 1 && (!(next > 0) || floor_above(list, count)))
+        return 0;
+    if (fabs(log(fmax(next, 1) / photons)) < 0.5 * log(NUDGE) || (ratio > 1) != (next > photons))
+        next = ratio > 1 ? photons * NUDGE : photons / NUDGE;
+    return fmax(fmin(next, fmin(photons * LARGEST_STEP, MOST_PHOTONS)), FIRST_PHOTONS);
+}
+
 lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *options, const bake_target *target, lmg_field **out,
                              bake_report *report, bake_reached *reached, lmg_error *err)
 {
@@ -96,17 +145,13 @@ lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *
     if (result != LMG_OK)
         return result;
     uint64_t rays = 0;
-    const bool fixed = options->fit.cells > 0;
-    uint64_t cells = fixed ? options->fit.cells : FIRST_CELLS;
-    if (!fixed && options->size > 0 && options->size < (double)cells)
-        cells = options->size > (double)LEAST_CELLS ? (uint64_t)options->size : LEAST_CELLS;
     double photons = FIRST_PHOTONS;
     tried list[TARGET_MAX_BAKES];
-    size_t count = 0;
     for (unsigned n = 1; result == LMG_OK && n <= TARGET_MAX_BAKES && photons > 0; ++n) {
         bake_options o = *options;
         o.photons = (uint64_t)photons;
-        o.fit.cells = cells;
+        if (!(o.size > 0))
+            o.size = MOST_BYTES;
         lmg_field *field;
         bake_report its;
         result = bake_run(model, &o, &field, &its, err);
@@ -120,39 +165,13 @@ lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *
         }
         const judge_error e = verdict.error[target->of];
         const double ratio = e.rms / target->error;
-        bake_reached now = {.error = e, .photons = o.photons, .cells = cells, .bakes = n};
+        bake_reached now = {.error = e, .photons = o.photons, .cells = cells_of(field), .bakes = n};
         now.within = fabs(ratio - 1) <= CLOSE || (ratio < 1 && photons <= FIRST_PHOTONS);
         keep(out, field, report, &its, reached, now, target->error);
-        const double se = hypot(2 * fabs(e.rms) * e.standard_error, 0.05 * e.rms * e.rms);
-        list[count++] = (tried){photons, e.rms * fabs(e.rms), 1 / fmax(se * se, 1e-30)};
-
-        double next = 0;
-        bool may_grow = !fixed && cells < MOST_CELLS;
-        if (!now.within && !its.interrupted) {
-            double scale, floor2, bytes = 0;
-            fit(list, count, &scale, &floor2);
-            const double room = target->error * target->error - floor2;
-            if (ratio > 1 && sqrt(floor2) > HIGH_FLOOR * target->error) {
-                if (may_grow && options->size > 0) {
-                    result = bake_size_of(*out, &bytes, err);
-                    may_grow = GROWTH * bytes <= options->size;
-                }
-                if (may_grow) {
-                    cells *= 4;
-                    count = 0; /* the floor is another one now */
-                    next = photons;
-                }
-                else if (room > 0)
-                    next = scale / room;
-            } else if (room > 0) {
-                next = scale / room;
-            }
-            next = fmin(next, fmin(photons * LARGEST_STEP, MOST_PHOTONS));
-            if (next > 0 && next < FIRST_PHOTONS)
-                next = FIRST_PHOTONS;
-            if (count > 0 && fabs(next / photons - 1) < 0.02) /* nothing new would come of it */
-                next = 0;
-        }
+        /* an error that is chance is known to be below its own standard error */
+        const double seen = fmax(e.rms, e.standard_error), se = 2 * e.standard_error / seen;
+        list[n - 1] = (tried){log((double)o.photons), 2 * log(seen / target->error), se * se, (double)now.cells};
+        const double next = now.within || its.interrupted ? 0 : next_photons(list, n, photons, ratio);
         if (target->progress)
             target->progress(target->progress_self, n, o.photons, now.cells, e, (uint64_t)next);
         photons = next;

@@ -2,8 +2,8 @@
 /*
  * Bakes to a stated error: boxes of rising size are judged by the lamp's own rays (judge.h) until one has the error asked for.
  *
- * error^2 = scale / photons + floor^2, where the floor is what the cells blur: from the boxes judged so far both are known, and with
- * them how many photons, or how many more cells, it takes.
+ * Cells are as many as a bake of that many photons takes by itself (or as are asked for), so that photons alone are searched: a
+ * power law through the boxes judged so far tells how many it takes.
  */
 #ifndef BAKER_TARGET_H
 #define BAKER_TARGET_H
@@ -15,22 +15,24 @@ enum { TARGET_MAX_BAKES = 14 };
 typedef struct bake_target {
     judge_measure of;
     double error; /* relative, > 0 */
-    /* After every bake, on the calling thread: its number from 1, photons and cells, its error, and the photons of the next (0: done). */
+    /* After every bake, on the calling thread: its number from 1, photons and cells, its error, and the photons of the next (0:
+     * done). */
     void (*progress)(void *self, unsigned bake, uint64_t photons, uint64_t cells, judge_error error, uint64_t next);
     void *progress_self;
 } bake_target;
 
 typedef struct bake_reached {
-    judge_error error; /* of the box that was kept */
-    uint64_t photons, cells;
+    judge_error error;       /* of the box that was kept */
+    uint64_t photons, cells; /* cells: all that it has */
     unsigned bakes;
     bool within; /* error within 15 % of what was asked, or below it with as few photons as make sense */
 } bake_reached;
 
 /*
- * Bakes until the error is what was asked for.  options: photons and seconds don't count; fit.cells > 0 fixes the number of cells, else
- * it grows as needed, as far as options.size allows.  *out is the box, also when the error can't be reached (within: false; then it is the best one).  Which photons and
- * cells are tried depends on the judging alone, never on time, so the same call gives the same box.  Errors: as bake_run.
+ * Bakes until the error is what was asked for.  options: photons and seconds don't count; size: as
+ * in bake_options, but where it is 0 the file may be as large as it takes.  *out is the box, also when the error can't be reached
+ * (within: false; then it is the nearest one).  Which photons are tried depends on the judging alone, never on time, so the same
+ * call gives the same box. Errors: as bake_run.
  */
 lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *options, const bake_target *target, lmg_field **out,
                              bake_report *report, bake_reached *reached, lmg_error *err);
