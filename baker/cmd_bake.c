@@ -623,10 +623,7 @@ static int bake_or_help(command *c)
         code = help(c, model, result, &err);
     } else {
         if (result == LMG_OK)
-            result =
-                c->target.error > 0 && c->bake.team
-                    ? lmg_fail(&err, LMG_ERROR_UNSUPPORTED, "--error makes several bakes, in one process: run it without mpirun")
-                    : find_checkpoint(c, &err);
+            result = find_checkpoint(c, &err);
         if (result != LMG_OK) {
             code = report_error(result, &err);
         } else {

@@ -13,14 +13,14 @@ struct lum_model;
 
 typedef struct bake_team bake_team;
 struct bake_team {
-    /* Tells the others what is baked: part's bake and layout, the photons among first .. end-1 that it lacks, with these effects (bits of
-     * bake_effect). */
+    /* Begins a bake, one after the other where there are several (bake_run_to_error).  Tells the others what is baked: part's bake
+     * and layout, the photons among first .. end-1 that it lacks, with these effects (bits of bake_effect). */
     lmg_result (*invite)(bake_team *team, const bake_part *part, uint32_t effects, uint64_t first, uint64_t end, lmg_error *err);
     /* Takes up to `most` photons that nobody has yet, for the caller to trace; false when there are none. */
     bool (*take)(bake_team *team, uint64_t most, uint64_t *first, uint64_t *count);
     /* Answers the others and adds what they have sent to part.  To be called every second or so. */
     lmg_result (*serve)(bake_team *team, bake_part *part, lmg_error *err);
-    /* Waits for what the others still have.  Photons of one who fell silent are missing from part then.  The last call. */
+    /* Waits for what the others still have.  Photons of one who fell silent are missing from part then.  Ends the bake. */
     lmg_result (*gather)(bake_team *team, bake_part *part, lmg_error *err);
 };
 
@@ -33,7 +33,8 @@ lmg_result bake_team_join(bake_team **team, lmg_error *err);
 /* Whether this process is one of the others: it calls bake_team_work in place of bake_run. */
 bool bake_team_is_helper(const bake_team *team);
 
-/* Traces what the first process hands out, until it says that this is all.  failed: this process can't help; it says so and leaves. */
+/* Traces what the first process hands out, bake after bake, until it says that this is all.  failed: this process can't help; it
+ * says so and leaves. */
 lmg_result bake_team_work(bake_team *team, const struct lum_model *model, const struct bake_options *options, bool failed,
                           lmg_error *err);
 

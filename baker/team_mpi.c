@@ -3,14 +3,14 @@
  * A bake shared by the processes of mpirun.
  *
  * Messages of a helper to the first process: WANT (number of photons it would like next) and PART (size and whether it is the last,
- * then the bytes in pieces).  Of the first process to a helper: INVITATION (size and effects, then the bytes of an empty part; size 0: go home)
- * and BLOCK (first photon, count; count 0: send what you have), and last GOODBYE (whether all processes are still there to end
- * together).
+ * then the bytes in pieces).  Of the first process to a helper: INVITATION (size and effects, then the bytes of an empty part),
+ * once for each bake, and BLOCK (first photon, count; count 0: send what you have).  The last INVITATION has size 0, go home, and
+ * says whether all processes are still there to end together.
  *
  * A helper asks for its next block when it begins one, so that the answer is there when it has finished; it sends its part every
- * checkpoint's time.  What is handed out and never comes back, because a process died, is missing from the list of photons: the first
- * process traces it itself in the end, or whoever resumes the bake from its checkpoint.
- * Nothing waits for ever: every receive is polled and a process that is silent for SILENCE_SECONDS counts as dead.
+ * checkpoint's time.  What is handed out and never comes back, because a process died, is missing from the list of photons: the
+ * first process traces it itself in the end, or whoever resumes the bake from its checkpoint. Nothing waits for ever: every receive
+ * is polled and a process that is silent for SILENCE_SECONDS counts as dead.
  *
  * Without MPI at build time only bake_team_join is left, which refuses to be one of several.
  */
@@ -68,7 +68,7 @@ void bake_team_leave(bake_team *team, int code)
 #include <time.h>
 #include <unistd.h>
 
-enum { TAG_INVITATION = 1, TAG_INVITATION_BYTES, TAG_BLOCK, TAG_GOODBYE, TAG_WANT, TAG_PART, TAG_PART_BYTES };
+enum { TAG_INVITATION = 1, TAG_INVITATION_BYTES, TAG_BLOCK, TAG_WANT, TAG_PART, TAG_PART_BYTES };
 /* MPI counts bytes in an int. */
 enum { PIECE = 1 << 28 };
 /* Blocks last about so long: the first process answers between rounds of half a second. */
@@ -81,8 +81,8 @@ static const double FIRST_SILENCE_SECONDS = 600;
 static const double CHECKPOINT_SECONDS = 60;
 
 typedef struct helper {
-    bool gone;      /* sent its last part, or counts as dead */
-    bool finished;  /* sent its last part */
+    bool gone;      /* sent its last part of this bake, or counts as dead */
+    bool finished;  /* sent its last part of this bake */
     bool dismissed; /* has been told to send it */
     bool asked;     /* waits for a block */
     uint64_t wants;
@@ -183,11 +183,19 @@ static lmg_result empty_like(const bake_part *part, bake_part **out, lmg_error *
 
 /* --------------------------------------------------------------------------------------------------- the first process */
 
+static bool is_dead(const helper *h)
+{
+    return h->gone && !h->finished;
+}
+
 static lmg_result invite(bake_team *self, const bake_part *part, uint32_t effects, uint64_t first, uint64_t end, lmg_error *err)
 {
     team_mpi *t = (team_mpi *)self;
     t->first = first;
     t->end = end;
+    t->over = false;
+    bake_part_destroy(t->handed);
+    t->handed = NULL;
     bake_part *empty;
     memory m = {0};
     lmg_result result = bake_part_create(&t->handed, err);
@@ -201,7 +209,9 @@ static lmg_result invite(bake_team *self, const bake_part *part, uint32_t effect
     bake_part_destroy(empty);
     const uint64_t head[2] = {m.size, effects};
     for (int r = 1; result == LMG_OK && r < t->size; ++r) {
-        t->helpers[r].heard = bake_clock();
+        if (is_dead(&t->helpers[r]))
+            continue;
+        t->helpers[r] = (helper){.heard = bake_clock()};
         if (!send(r, TAG_INVITATION, head, sizeof(head)) || !send(r, TAG_INVITATION_BYTES, m.bytes, m.size))
             t->helpers[r].gone = t->some_died = true;
     }
@@ -312,10 +322,6 @@ static lmg_result gather(bake_team *self, bake_part *part, lmg_error *err)
         if (waiting)
             doze();
     }
-    const uint64_t all = !t->some_died;
-    for (int r = 1; r < t->size; ++r)
-        if (t->helpers[r].finished)
-            send(r, TAG_GOODBYE, &all, sizeof(all));
     t->over = true;
     return result;
 }
@@ -372,26 +378,20 @@ static lmg_result trace_blocks(bake_part **part, bake_source *tracer, const bake
     }
 }
 
-lmg_result bake_team_work(bake_team *self, const struct lum_model *model, const struct bake_options *options, bool failed, lmg_error *err)
+/* One bake that the first process has announced in head.  failed: this process can't help. */
+static lmg_result work(const struct lum_model *model, const bake_options *options, const uint64_t head[2], bool failed,
+                       lmg_error *err)
 {
-    team_mpi *t = (team_mpi *)self;
-    uint64_t head[2] = {0}; /* as invite sends it */
-    /* the first process may spend long on its pilot; should it die, mpirun ends this one */
-    receive(0, TAG_INVITATION, head, sizeof(head), (double)INFINITY);
-    const uint64_t size = head[0];
-    t->over = true;
-    if (size == 0)
-        return LMG_OK;
-    char *bytes = malloc(size);
+    char *bytes = malloc(head[0]);
     bake_part *part = NULL;
     bake_source *tracer = NULL;
     lmg_result result = bytes ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for the layout");
-    if (result == LMG_OK && !receive(0, TAG_INVITATION_BYTES, bytes, size, FIRST_SILENCE_SECONDS))
+    if (result == LMG_OK && !receive(0, TAG_INVITATION_BYTES, bytes, head[0], FIRST_SILENCE_SECONDS))
         result = lmg_fail(err, LMG_ERROR_INTERNAL, "the first process can't be reached");
     if (result == LMG_OK && failed)
-        result = LMG_ERROR_INPUT; /* its caller has said why */
+        result = LMG_ERROR_INPUT; /* its caller has said why, or an earlier bake */
     else if (result == LMG_OK)
-        result = bake_part_load(bytes, size, "the first process's layout", &part, err);
+        result = bake_part_load(bytes, head[0], "the first process's layout", &part, err);
     free(bytes);
     if (result == LMG_OK)
         result = bake_tracer_create_with(model, (uint32_t)head[1], options->seed, NULL, &tracer, err);
@@ -401,13 +401,29 @@ lmg_result bake_team_work(bake_team *self, const struct lum_model *model, const 
         const uint64_t nothing[2] = {0, 1};
         send(0, TAG_PART, nothing, sizeof(nothing));
     }
-    uint64_t all = 0;
-    receive(0, TAG_GOODBYE, &all, sizeof(all), FIRST_SILENCE_SECONDS);
-    t->some_died = !all;
     if (tracer)
         tracer->destroy(tracer);
     bake_part_destroy(part);
     return result;
+}
+
+lmg_result bake_team_work(bake_team *self, const struct lum_model *model, const struct bake_options *options, bool failed,
+                          lmg_error *err)
+{
+    team_mpi *t = (team_mpi *)self;
+    lmg_result result = LMG_OK;
+    for (;;) {
+        uint64_t head[2] = {0}; /* as invite sends it, or bake_team_leave */
+        /* the first process may spend long on its pilot, or on judging a box; should it die, mpirun ends this one */
+        receive(0, TAG_INVITATION, head, sizeof(head), (double)INFINITY);
+        if (head[0] == 0) {
+            t->some_died = !head[1];
+            return result;
+        }
+        /* one that failed in the middle of a bake might still get blocks of that one, so it stays out of the others */
+        const lmg_result now = work(model, options, head, failed || result != LMG_OK, result == LMG_OK ? err : NULL);
+        result = result == LMG_OK ? now : result;
+    }
 }
 
 /* -------------------------------------------------------------------------------------------------- joining and leaving */
@@ -447,12 +463,13 @@ void bake_team_leave(bake_team *self, int code)
     if (!t)
         return;
     fflush(NULL);
-    if (t->rank == 0 && !t->begun) {
-        const uint64_t go_home[2] = {0};
-        for (int r = 1; r < t->size; ++r)
-            send(r, TAG_INVITATION, go_home, sizeof(go_home));
-    } else if (t->rank == 0 && !t->over) {
+    if (t->rank == 0 && t->begun && !t->over)
         MPI_Abort(MPI_COMM_WORLD, code); /* failed in the middle: the others would work for nobody */
+    if (t->rank == 0) {
+        const uint64_t go_home[2] = {0, !t->some_died};
+        for (int r = 1; r < t->size; ++r)
+            if (!is_dead(&t->helpers[r]))
+                send(r, TAG_INVITATION, go_home, sizeof(go_home));
     }
     /* MPI_Finalize waits for all processes: where one died, leave without it */
     if (t->some_died)
