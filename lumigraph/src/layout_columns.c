@@ -14,10 +14,12 @@ static inline int32_t index_of(double x, double last)
     return (int32_t)d_min(d_max(x, 0), last);
 }
 
+/* Coordinates are limited before they are looked at: converting what is far outside would be an invalid operation. */
 static inline uint16_t pixel_of(double x, double y, bool forward)
 {
-    const bool inside = forward & (x >= 0) & (x < LMG_JUDGE_SIDE) & (y >= 0) & (y < LMG_JUDGE_SIDE);
-    return (uint16_t)(inside ? index_of(y, LMG_JUDGE_SIDE - 1) * LMG_JUDGE_SIDE + index_of(x, LMG_JUDGE_SIDE - 1) : LMG_OUTSIDE);
+    const double in_x = d_min(d_max(x, -1), LMG_JUDGE_SIDE), in_y = d_min(d_max(y, -1), LMG_JUDGE_SIDE);
+    const bool inside = forward & (in_x >= 0) & (in_x < LMG_JUDGE_SIDE) & (in_y >= 0) & (in_y < LMG_JUDGE_SIDE);
+    return (uint16_t)(inside ? (int32_t)in_y * LMG_JUDGE_SIDE + (int32_t)in_x : LMG_OUTSIDE);
 }
 
 LMG_WIDE static void plane_pixels(const lmg_receiver *restrict of, double start, size_t count, const lmg_ray_columns *restrict r,

@@ -271,11 +271,13 @@ static void test_filament(void **state)
 
     /* a luminance near the end of float */
     m = disc_lamp(1e30f, 0.05, 0);
-    const bake_options bright = {.photons = 20000, .seed = 4, .fit.cells = 10000};
+    const bake_options bright = {.photons = 1000000, .seed = 4, .fit.cells = 10000};
     f = hard_bake(m, &bright, NULL);
-    const double e = hard_illuminance(f, v3(0, -10, 0), v3(0, 1, 0), NULL);
-    /* of a square of 0.1 m at 10 m: L A / d^2 to 1e-4; 20,000 photons in some hundred directions: 7 % noise, four times */
-    hard_at_most("luminance 1e30 cd/m2", "illuminance at 10 m, relative to L A / d^2", fabs(e / (1e30 * 0.01 / 100) - 1), 0.28);
+    double noise;
+    const double e = hard_illuminance(f, v3(0, -10, 0), v3(0, 1, 0), &noise), expected = 1e30 * 0.01 / 100;
+    /* of a square of 0.1 m at 10 m: L A / d^2 to 1e-4; a million photons in some hundred directions: 1 % noise */
+    hard_at_most("luminance 1e30 cd/m2", "illuminance at 10 m, relative standard error", noise / expected, 0.02);
+    hard_at_most("luminance 1e30 cd/m2", "illuminance at 10 m from L A / d^2, in standard errors", fabs(e - expected) / noise, 4);
     lmg_field_destroy(f);
     free_model(m);
 }

@@ -38,6 +38,7 @@ static lmg_field *panel(lmg_layout_choice choice)
 
 typedef struct estimate {
     double mean, error, worst_weight, pdf_mismatch;
+    double largest_share; /* of the largest weight's square in the sum of all */
     bool finite;
 } estimate;
 
@@ -61,6 +62,7 @@ static estimate by_sampling(const lmg_field *f, lmg_vec3 point, lmg_vec3 normal,
         squares += w * w;
     }
     e.mean = sum / n;
+    e.largest_share = squares > 0 ? e.worst_weight * e.worst_weight / squares : 0;
     e.error = sqrt(fmax(squares / n - e.mean * e.mean, 0) / n);
     return e;
 }
@@ -118,22 +120,25 @@ static void test_distances(void **state)
         for (int i = 0; i < 6; ++i) {
             const double low = lmg_field_layout(f)->bounds_min.y;
             const lmg_vec3 p = {0.013, low - SIZES[i] * size, -0.021}, up = {0, 1, 0};
-            const double e = hard_illuminance(f, p, up, NULL);
-            const estimate s = by_sampling(f, p, up, 20000);
+            double noise; /* of the box */
+            const double e = hard_illuminance(f, p, up, &noise);
+            const estimate s = by_sampling(f, p, up, 100000);
             print_message("quadrature %g, sampling %g +- %g\n", e, s.mean, s.error);
             const char *name = hard_text("%s box at %g sizes below its face", NAMES[k], SIZES[i]);
             hard_holds(name, "weights finite and positive", s.finite && s.mean > 0, "largest %.3g times the mean", s.worst_weight / s.mean);
-            hard_at_most(name, "weights bounded: largest over mean", s.worst_weight / s.mean, 1000);
+            /* where one sample has a share s of the sum of squares, the standard error is known to the root of s, here to a tenth
+             */
+            hard_at_most(name, "weights bounded: the largest's share of the sum of squares", s.largest_share, 0.01);
             hard_at_most(name, "density said again, relative", s.pdf_mismatch, 1e-5);
-            /* sampling's own error, and the quadrature's of a percent beside the plane, a thousandth further off */
-            const double quadrature = SIZES[i] < 0.05 ? 0.02 : 0.003;
-            hard_at_most(name, "sampling against quadrature, in 4 standard errors + the quadrature's", fabs(s.mean - e) / (4 * s.error + quadrature * e), 1);
+            /* 5e-4 RMS is what the rule of quadrature is off in noisy boxes (CHANGELOG); four times that */
+            hard_at_most(name, "sampling against quadrature, in 4 standard errors + 0.002",
+                         fabs(s.mean - e) / (4 * s.error + 0.002 * e), 1);
+            /* the panel's radiance is the same everywhere, so that cells blur nothing: what is left is noise */
             if (SIZES[i] >= 1e3) {
                 const double d = SIZES[i] * size, far = 1000 * 0.04 / (d * d);
-                /* 2,000,000 photons, some thousand in the cells that look here */
-                hard_at_most(name, "far field: L A / d^2, relative", fabs(e / far - 1), 0.1);
+                hard_at_most(name, "far field: L A / d^2, in standard errors", fabs(e - far) / noise, 4);
             } else if (SIZES[i] < 1e-2) {
-                hard_at_most(name, "on the panel: pi L, relative", fabs(e / (3.14159265 * 1000) - 1), 0.1);
+                hard_at_most(name, "on the panel: pi L, in standard errors", fabs(e - 3.14159265358979 * 1000) / noise, 4);
             }
         }
         assert_true(flux > 0);
@@ -153,7 +158,9 @@ static void test_across_the_face(void **state)
     /* of a point exactly in a (u,v) plane that plane's light is left out */
     hard_holds("on the box's face, exactly in a (u,v) plane", "not made stable: finite, and at most what is seen just outside",
                isfinite(on) && on >= 0 && on <= 1.02 * outside, "%.5g lx, outside %.5g lx; ask 1e-7 sizes outside", on, outside);
-    hard_at_most("on the box's face", "illuminance between 1e-7 and 1e-4 sizes outside, relative", fabs(away / outside - 1), 0.02);
+    /* what is seen moves by 1e-4 sizes, a thousandth of a cell (some ten to a side): twice as much, if every cell were beside a
+     * dark one */
+    hard_at_most("on the box's face", "illuminance between 1e-7 and 1e-4 sizes outside, relative", fabs(away / outside - 1), 2e-3);
     /* inside and behind: nothing invalid, whatever comes */
     bool finite = true;
     static const double HEIGHTS[] = {1e-9, 0.01, 0.025, 0.05, 0.06, 1, 100};
@@ -203,7 +210,8 @@ static void test_one_bright_cell(void **state)
     const estimate s = by_sampling(f, v3(0.012, -1, 0.007), v3(0, 1, 0), 2000);
     const double e = hard_illuminance(f, v3(0.012, -1, 0.007), v3(0, 1, 0), NULL);
     hard_holds("all light in one cell", "weights finite in the beam", s.finite && e > 0, "illuminance %.3g lx, sampled %.3g", e, s.mean);
-    hard_at_most("all light in one cell", "sampling against quadrature, in 4 standard errors + 1 %", fabs(s.mean - e) / (4 * s.error + 0.01 * e), 1);
+    hard_at_most("all light in one cell", "sampling against quadrature, in 4 standard errors + 0.002",
+                 fabs(s.mean - e) / (4 * s.error + 0.002 * e), 1);
     lmg_field_destroy(f);
 }
 
