@@ -113,6 +113,8 @@ static void destroy(bake_source *source)
     lum_volumes_destroy(t->volumes);
     if (!t->borrows_emitters)
         lum_emitters_destroy(t->emitters);
+    if (!t->borrows_clearance)
+        lum_clearance_destroy(t->clearance);
     lum_scene_destroy(t->scene);
     bake_effects_free(t->variant);
     free(t->media);
@@ -213,6 +215,41 @@ static const tracer_kernel *choose_kernel(uint32_t features)
     return tracer_kernels[tracer_kernel_count - 1];
 }
 
+/* What tells that light in dense media of solids meets nothing before it is scattered.  like: NULL, or a tracer of the same geometry. */
+static lmg_result find_clearance(tracer *t, const tracer *like, lmg_error *err)
+{
+    const lum_model *m = t->model;
+    lmg_vec3 low = {INFINITY, INFINITY, INFINITY}, high = {-INFINITY, -INFINITY, -INFINITY};
+    double most = 0, area = 0, volume = 0; /* of these solids: twice, and six times */
+    if (like && like->clearance) {
+        t->clearance = like->clearance;
+        t->borrows_clearance = true;
+        return LMG_OK;
+    }
+    for (uint32_t i = 0; i < m->triangle_count; ++i) {
+        const tracer_medium *medium = &t->media[m->triangle_material[i]];
+        if (!medium->scatters)
+            continue;
+        most = fmax(most, medium->inside.majorant);
+        double p[3][3];
+        for (int k = 0; k < 3; ++k) {
+            for (int c = 0; c < 3; ++c)
+                p[k][c] = (double)m->positions[3 * (size_t)m->indices[3 * (size_t)i + (size_t)k] + (size_t)c];
+            low = (lmg_vec3){fmin(low.x, p[k][0]), fmin(low.y, p[k][1]), fmin(low.z, p[k][2])};
+            high = (lmg_vec3){fmax(high.x, p[k][0]), fmax(high.y, p[k][1]), fmax(high.z, p[k][2])};
+        }
+        const double e[3] = {p[1][0] - p[0][0], p[1][1] - p[0][1], p[1][2] - p[0][2]};
+        const double f[3] = {p[2][0] - p[0][0], p[2][1] - p[0][1], p[2][2] - p[0][2]};
+        const double n[3] = {e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]};
+        area += sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        volume += p[0][0] * n[0] + p[0][1] * n[1] + p[0][2] * n[2];
+    }
+    if (!(most > 0 && area > 0))
+        return LMG_OK;
+    const double thickness = 2 * fabs(volume) / 3 / area; /* of a plate or a shell: its volume over half of its surface */
+    return lum_clearance_create(t->scene, low, high, thickness, 1 / most, &t->clearance, err);
+}
+
 /* Emitters (of the original: what is left out is no source), volumes and intersection structure. */
 static lmg_result build(tracer *t, const lum_model *original, const tracer *like, lmg_error *err)
 {
@@ -280,6 +317,8 @@ lmg_result bake_tracer_create_with(const struct lum_model *model, uint32_t effec
         t->kernel = choose_kernel(features);
         if (lum_model_is_spectral(t->model))
             result = lum_wave_tables_create(t->model, &t->spectral, err);
+        else if (result == LMG_OK) /* distances by wavelength aren't drawn before hits are looked for */
+            result = find_clearance(t, (const tracer *)like, err);
     }
     if (result != LMG_OK) {
         destroy(&t->source);

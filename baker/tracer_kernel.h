@@ -120,6 +120,7 @@ typedef struct worker {
     lum_hit hit[WAVE];
 #if KERNEL_FEATURES & TRACER_MEDIA
     double reach[WAVE]; /* distance drawn for the segment, in a medium inside a solid; negative: none */
+    bool ended[WAVE];   /* on its way there */
 #endif
     path path[WAVE];
     bool goes_on[WAVE];
@@ -1056,6 +1057,10 @@ static inline bool arrive(const tracer *t, worker *w, uint32_t i, uint32_t photo
  * other. */
 static inline bool arrive_through(const tracer *t, worker *w, uint32_t i)
 {
+#if KERNEL_FEATURES & TRACER_MEDIA
+    if (w->ended[i])
+        return false;
+#endif
     const lum_hit *hit = &w->hit[i];
     uint32_t photons = 1;
     bool alone = true;
@@ -1255,6 +1260,39 @@ static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t c
         w->order[start_of[bucket[i]]++] = (uint16_t)i;
 }
 
+#if KERNEL_FEATURES & TRACER_MEDIA
+/*
+ * Draws how far path i goes in the medium around it: w->reach[i].  Where that certainly meets no surface it is scattered at once,
+ * again and again; so in a dense medium a path takes many steps in its turn, of all that a surface needs none.  False: it has
+ * ended.
+ */
+static inline bool wander(const tracer *t, worker *w, uint32_t i)
+{
+    enum { STEPS = 64 }; /* then it's the others' turn */
+    path *p = &w->path[i];
+    const tracer_medium *m = p->nested > 0 ? &t->media[p->inside[p->nested - 1]] : NULL;
+    w->reach[i] = -1;
+    if (!m || !m->scatters || is_spectral(t))
+        return true;
+    for (uint32_t step = 0;; ++step) {
+        double share[3];
+        shares(p, share);
+        w->reach[i] = lum_medium_draw(&m->inside, share, &p->rng);
+        if (step == STEPS || !t->clearance || !lum_clearance_clear(t->clearance, w->origin[i], w->direction[i], w->reach[i]))
+            return true;
+        w->hit[i].triangle = LUM_MISS;
+        bool scattered;
+        const uint32_t photons = fly_through(t, w, i, &scattered);
+        if (photons == 0)
+            return false;
+        if (!scattered)
+            return true;
+        put_aside(w, i, photons - 1);
+        ++w->counts.segments;
+    }
+}
+#endif
+
 /* What the rays of `count` paths from `first` on meet.  In a medium the next event is drawn before, and surfaces beyond it aren't
  * looked for. */
 static inline void find_hits(const tracer *t, worker *w, uint32_t first, uint32_t count)
@@ -1262,16 +1300,8 @@ static inline void find_hits(const tracer *t, worker *w, uint32_t first, uint32_
 #if KERNEL_FEATURES & TRACER_MEDIA
     double reach[WAVE];
     for (uint32_t i = first; i < first + count; ++i) {
-        path *p = &w->path[i];
-        const tracer_medium *m = p->nested > 0 ? &t->media[p->inside[p->nested - 1]] : NULL;
-        w->reach[i] = -1;
-        reach[i] = (double)INFINITY;
-        if (!m || !m->scatters || is_spectral(t))
-            continue;
-        double share[3];
-        shares(p, share);
-        w->reach[i] = lum_medium_draw(&m->inside, share, &p->rng);
-        reach[i] = w->reach[i] + t->near;
+        w->ended[i] = !wander(t, w, i);
+        reach[i] = w->reach[i] < 0 ? (double)INFINITY : w->reach[i] + t->near;
     }
     lum_scene_intersect_within(t->scene, count, w->origin + first, w->direction + first, reach + first, w->hit + first);
 #else

@@ -62,6 +62,8 @@ typedef struct tracer {
     bool borrows_emitters; /* another tracer's */
     tracer_medium *media; /* per material */
     lum_volumes *volumes; /* outside of solids; NULL = none */
+    lum_clearance *clearance; /* of solids with media that scatter; NULL = none, or not worth it */
+    bool borrows_clearance;   /* another tracer's */
     double near;          /* with media: how far beyond a scattering surfaces are looked for, so that none is passed by rounding */
     lum_wave_tables *spectral; /* NULL: light of this model has R,G,B */
     uint32_t features; /* needed for what is simulated */

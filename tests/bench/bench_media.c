@@ -4,7 +4,7 @@
  * in turn and the best of several turns, so that other work on the machine counts as little as can be.
  *
  *   - a bulb in a shell of glass (the opal ball): clear; filled with an isotropic medium of optical depth 1.2 across the wall;
- * filled with the forward scattering medium of the sample, optical depth 6, which turns light round as much;
+ * filled with the forward scattering medium of the sample, optical depth 6, which turns light round as much; ten times as dense;
  *   - a white tray with LEDs behind a plate, as in a ceiling panel: clear; opal, isotropic optical depth 1.2;
  *   - a bulb in a box of haze: homogeneous; a lattice of 128^3 densities with the same mean, smooth noise; the same with a few
  *     voxels of a million times the mean.
@@ -168,9 +168,10 @@ int main(int argc, char **argv)
     lum_volume volumes[3];
     if (lum_grid_create(origin, one, &density, LUM_INTERPOLATION_NEAREST, 2.5, &grids[0], NULL) != LMG_OK)
         exit(1);
-    variant shell[3] = {{.name = "glass, clear", .model = ball(0, 0), .photons = 60000},
+    variant shell[4] = {{.name = "glass, clear", .model = ball(0, 0), .photons = 60000},
                         {.name = "glass, opal, depth 1.2, isotropic", .model = ball(400, 0), .photons = 20000},
-                        {.name = "glass, opal, depth 6, forward", .model = ball(2000, 0.8f), .photons = 8000}};
+                        {.name = "glass, opal, depth 6, forward", .model = ball(2000, 0.8f), .photons = 8000},
+                        {.name = "glass, opal, depth 60, forward", .model = ball(20000, 0.8f), .photons = 500}};
     variant plate[2] = {{.name = "panel, clear plate", .model = panel(0), .photons = 60000},
                         {.name = "panel, opal plate, depth 1.2", .model = panel(400), .photons = 20000}};
     variant cloud[3] = {{.name = "haze, homogeneous", .model = haze(grids[0], 1, &volumes[0]), .photons = 60000},
@@ -179,7 +180,7 @@ int main(int argc, char **argv)
     const struct {
         variant *variants;
         size_t count;
-    } groups[3] = {{shell, 3}, {plate, 2}, {cloud, 3}};
+    } groups[3] = {{shell, 4}, {plate, 2}, {cloud, 3}};
     for (int g = 0; g < 3; ++g) {
         for (size_t i = 0; i < groups[g].count; ++i)
             prepare(&groups[g].variants[i]);

@@ -63,6 +63,20 @@ bool lum_scene_touches(const lum_scene *scene);
  */
 bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance);
 
+/*
+ * Tells of many short ways that nothing is in them, for a fraction of the time that looking for hits takes: for light in dense media,
+ * which is scattered many times before it gets anywhere.  Coordinates and threads as above.
+ */
+typedef struct lum_clearance lum_clearance;
+/* For ways that start in low .. high, in walls of a thickness (metres), and mostly are a few free_path long.  *out is NULL, and that's no
+ * error, where it would cost more than it saves: in thin media and very fine meshes.  The scene isn't kept. */
+lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 high, double thickness, double free_path,
+                                lum_clearance **out, lmg_error *err);
+void lum_clearance_destroy(lum_clearance *clearance); /* accepts NULL */
+/* Whether the way from the origin (off all surfaces, as lum_offset puts it) along direction (unit) certainly meets no surface as far as
+ * reach (may be INFINITY) and a little more; false: not known. */
+bool lum_clearance_clear(const lum_clearance *clearance, lmg_vec3 origin, lmg_vec3 direction, double reach);
+
 /* Origin for a ray that leaves a hit in direction d: the hit's position moved off the surface, to the side d points to. */
 static inline lmg_vec3 lum_offset(const lum_hit *hit, lmg_vec3 d)
 {
