@@ -5,9 +5,6 @@
  */
 #include "layout_columns.h"
 
-/* The receiver of all directions: rings of equal solid angle, cut in sectors. */
-enum { RINGS = 16, SECTORS = LMG_JUDGE_PIXELS / RINGS };
-
 /* Whole part of x, from 0 to last; of what isn't a number, one of them. */
 static inline int32_t index_of(double x, double last)
 {
@@ -59,14 +56,14 @@ LMG_WIDE static void ring_pixels(size_t count, const lmg_ray_columns *restrict r
         const bool horizontal = fabs(s) >= fabs(t), forward = cosine > 0;
         const double side = horizontal ? s : t, along = horizontal ? t : -s;
         const double eighths = (horizontal ? 0 : 2) + (side > 0 ? 0 : 4) + along / (side != 0 ? side : 1); /* of the circle */
-        const double round = (eighths < 0 ? eighths + 8 : eighths) * (SECTORS / 8.0);
-        const int32_t at = index_of((1 - cosine) * RINGS, RINGS - 1) * SECTORS + index_of(round, SECTORS - 1);
+        const double round = (eighths < 0 ? eighths + 8 : eighths) * (LMG_JUDGE_SECTORS / 8.0);
+        const int32_t at = index_of((1 - cosine) * LMG_JUDGE_RINGS, LMG_JUDGE_RINGS - 1) * LMG_JUDGE_SECTORS +
+                           index_of(round, LMG_JUDGE_SECTORS - 1);
         pixel[i] = (uint16_t)(forward ? at : LMG_OUTSIDE);
     }
 }
 
-void lmg_pixels_of(const lmg_receiver receivers[LMG_JUDGE_RECEIVERS], double start, size_t count, const lmg_ray_columns *rays,
-                   lmg_pixels out)
+void lmg_pixels_of(const lmg_receiver *receivers, double start, size_t count, const lmg_ray_columns *rays, lmg_pixels out)
 {
     double s[LMG_COLUMN], t[LMG_COLUMN];
     for (int k = 0; k < LMG_JUDGE_PLANES; k++)

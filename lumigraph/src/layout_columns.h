@@ -10,16 +10,20 @@ typedef struct lmg_receiver {
     double reach;         /* of a plane; unused for directions */
     double x0, y0, scale; /* its corner, pixels per unit */
     double scale_y;
-    double energy;
 } lmg_receiver;
 
 /* Pixels of a column of rays in all receivers; LMG_OUTSIDE of rays that one doesn't see. */
 typedef uint16_t lmg_pixels[LMG_JUDGE_RECEIVERS][LMG_COLUMN];
-enum { LMG_JUDGE_SIDE = 24, LMG_OUTSIDE = LMG_JUDGE_PIXELS };
+/* The receiver of all directions has rings of equal solid angle, cut in sectors; the others are squares. */
+enum {
+    LMG_JUDGE_SIDE = 24,
+    LMG_JUDGE_RINGS = 16,
+    LMG_JUDGE_SECTORS = LMG_JUDGE_PIXELS / LMG_JUDGE_RINGS,
+    LMG_OUTSIDE = LMG_JUDGE_PIXELS
+};
 
-/* Of rays in the frame of the receivers: along a, b and n; start: where along n the light's box ends. */
-void lmg_pixels_of(const lmg_receiver receivers[LMG_JUDGE_RECEIVERS], double start, size_t count, const lmg_ray_columns *rays,
-                   lmg_pixels out);
+/* Of rays in the frame of the LMG_JUDGE_RECEIVERS receivers: along a, b and n; start: where along n the light's box ends. */
+void lmg_pixels_of(const lmg_receiver *receivers, double start, size_t count, const lmg_ray_columns *rays, lmg_pixels out);
 
 /* Rays of one slab. */
 typedef struct lmg_members {

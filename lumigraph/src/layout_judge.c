@@ -11,8 +11,9 @@
  * U-statistic [hoeffding1948].  The noise of the box adds its variance, sum of (photons' flux)^2 / etendue.
  *
  * The three differ by orders of magnitude: a good box has an error of some tenths of a per cent of illuminance and one of 30 % of
- * radiance.  So each counts in units of what is good.  Errors of illuminance and intensity count as far as they are more than
- * chance: where they aren't, radiance, which pairs of rays tell much more exactly, decides.
+ * radiance.  So each counts in units of what is good.  Errors of illuminance and intensity count as far as they are certain: where
+ * they aren't, radiance, which pairs of rays tell much more exactly, decides.  What cells do to smooth light is smooth itself, and
+ * is seen above less noise in larger pixels; what they do to edges is seen in the smallest.
  *
  * Most candidates are hopeless, and an eighth of the rays says so: all three measures are without bias whatever the number of rays.
  * Relies on layout_columns.h for the arithmetic of rays and place.h for cells.
@@ -31,9 +32,16 @@ static const double PLANE_DISTANCE[LMG_JUDGE_PLANES] = {0.5, 1, 2, 5};
 static const double BEAM_TAIL = 0.3, BEAM_MARGIN = 1.5;
 /* Pairs that a standard error of radiance can be believed with: it is a square root of their number. */
 static const double PAIRS_ENOUGH = 30;
+/* Errors of illuminance and intensity count by so many standard errors less than they seem.  With one, of the dozens of candidates
+ * that do nothing to illuminance every sixth would look worse than those that radiance prefers. */
+static const double CERTAIN = 2;
+/* What some of the rays say holds for all of them within so many standard errors. */
+static const double SURE = 3;
 /* Rays are dealt with in at most so many parts, and their pairs in so many, whatever the number of processors, so that sums of
  * floats are always the same. */
 enum { PARTS = 16, PART_BLOCKS = 8, PAIR_PARTS = 16 };
+/* Pixels are looked at one by one, and in squares of 2 and 4 a side. */
+enum { SCALES = 3 };
 
 /* Rays to be judged. */
 typedef struct block {
@@ -69,11 +77,12 @@ typedef struct pair_sums {
 } pair_sums;
 
 struct lmg_judge {
-    const lmg_pilot *pl;
-    lmg_vec3 axes[3]; /* a, b and n */
-    double start;     /* along n: where the light's box ends */
     lmg_receiver receivers[LMG_JUDGE_RECEIVERS];
-    double square; /* |L|^2; 0: not known */
+    const lmg_pilot *pl;
+    lmg_vec3 axes[3];                           /* a, b and n */
+    double start;                               /* along n: where the light's box ends */
+    double energy[SCALES][LMG_JUDGE_RECEIVERS]; /* of the light on them */
+    double square;                              /* |L|^2; 0: not known */
     size_t count, block_count, part_count;
     block *blocks;
     record *scratch, *records;                    /* by part, and within by parts of the cells' hash */
@@ -128,6 +137,22 @@ static bool set_directions(lmg_judge *q)
     return there;
 }
 
+/* The planes across the axis, each as wide as its distance on either side of the light's box. */
+static void set_planes(lmg_judge *q)
+{
+    const lmg_pilot *pl = q->pl;
+    const lmg_vec3 mid = v_scale(0.5, v_add(pl->light_lo, pl->light_hi)), half = v_scale(0.5, v_sub(pl->light_hi, pl->light_lo));
+    q->start = v_dot(mid, q->axes[2]) + fabs(v_dot(half, q->axes[2]));
+    for (int k = 0; k < LMG_JUDGE_PLANES; k++) {
+        const double w = (PLANE_DISTANCE[k] + 0.5) * pl->size;
+        q->receivers[k] = (lmg_receiver){.reach = PLANE_DISTANCE[k] * pl->size,
+                                         .x0 = v_dot(mid, q->axes[0]) - w,
+                                         .y0 = v_dot(mid, q->axes[1]) - w,
+                                         .scale = LMG_JUDGE_SIDE / (2 * w),
+                                         .scale_y = LMG_JUDGE_SIDE / (2 * w)};
+    }
+}
+
 /* Puts ray i of the pilot, which is ray k of rays in the frame with their pixels, among those judged. */
 static void add_ray(lmg_judge *q, size_t i, lmg_pixels pixel, size_t k)
 {
@@ -145,6 +170,19 @@ static void add_ray(lmg_judge *q, size_t i, lmg_pixels pixel, size_t k)
         b->pixel[r][m] = pixel[r][k];
 }
 
+/* What moves in the i-th square of 2^scale pixels a side of a receiver, and the squares of that. */
+static void square_of_pixels(const sums *from, int k, int scale, int i, double *change, double *squares)
+{
+    const int wide = k == LMG_JUDGE_PLANES ? LMG_JUDGE_SECTORS : LMG_JUDGE_SIDE, side = 1 << scale;
+    const int first = i / (wide >> scale) * side * wide + i % (wide >> scale) * side;
+    *change = *squares = 0;
+    for (int y = 0; y < side; y++)
+        for (int x = 0; x < side; x++) {
+            *change += (double)from->change[k][first + y * wide + x];
+            *squares += (double)from->squares[k][first + y * wide + x];
+        }
+}
+
 lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all)
 {
     lmg_judge *q = calloc(1, sizeof *q);
@@ -152,8 +190,6 @@ lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all)
         return NULL;
     q->pl = pl;
     lmg_class_frame(c, &q->axes[0], &q->axes[1], &q->axes[2]);
-    lmg_vec3 mid = v_scale(0.5, v_add(pl->light_lo, pl->light_hi)), half = v_scale(0.5, v_sub(pl->light_hi, pl->light_lo));
-    q->start = v_dot(mid, q->axes[2]) + fabs(v_dot(half, q->axes[2]));
     size_t judged = 0;
     for (size_t i = 0; i < pl->count; i++)
         judged += all || pl->class[i] == c;
@@ -170,14 +206,7 @@ lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all)
         lmg_judge_destroy(q);
         return NULL;
     }
-    for (int k = 0; k < LMG_JUDGE_PLANES; k++) {
-        double w = (PLANE_DISTANCE[k] + 0.5) * pl->size;
-        q->receivers[k] = (lmg_receiver){.reach = PLANE_DISTANCE[k] * pl->size,
-                                         .x0 = v_dot(mid, q->axes[0]) - w,
-                                         .y0 = v_dot(mid, q->axes[1]) - w,
-                                         .scale = LMG_JUDGE_SIDE / (2 * w),
-                                         .scale_y = LMG_JUDGE_SIDE / (2 * w)};
-    }
+    set_planes(q);
     /* relative to all light on the receivers, whatever its class */
     for (size_t first = 0; first < pl->count; first += LMG_COLUMN) {
         const size_t n = pl->count - first < LMG_COLUMN ? pl->count - first : LMG_COLUMN;
@@ -196,16 +225,18 @@ lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all)
                 add_ray(q, first + k, pixel, k);
         }
     }
-    for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++) {
-        double energy = 0, squares = 0;
-        for (int i = 0; i < LMG_JUDGE_PIXELS; i++) {
-            const double light = (double)q->whole->change[k][i], v = (double)q->whole->squares[k][i];
-            energy += light * light - v;
-            squares += v;
+    for (int scale = 0; scale < SCALES; scale++)
+        for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++) {
+            double energy = 0, squares = 0;
+            for (int i = 0; i < LMG_JUDGE_PIXELS >> (2 * scale); i++) {
+                double light, v;
+                square_of_pixels(q->whole, k, scale, i, &light, &v);
+                energy += light * light - v;
+                squares += v;
+            }
+            /* of single rays in pixels the rounding of floats, 2^-23 of the squares, would be left */
+            q->energy[scale][k] = energy > 1e-5 * squares ? energy : 0;
         }
-        /* of single rays in pixels the rounding of floats, 2^-23 of the squares, would be left */
-        q->receivers[k].energy = energy > 1e-5 * squares ? energy : 0;
-    }
     return q;
 }
 
@@ -448,10 +479,10 @@ double lmg_judge_kept(lmg_judge *q, const lmg_slab *slabs, uint32_t slab_count, 
     return sum.kept;
 }
 
-/* Squared errors of one kind; se takes receivers for independent, sum_of_se for seeing the same, which is the most that it can be.
- */
+/* Squared errors of one kind: in the smallest pixels; as much of it as is certain in any, with the standard error there; what that
+ * won't be below by all rays. */
 typedef struct moves {
-    double error, se, sum_of_se;
+    double error, certain, se, least;
 } moves;
 
 /* On planes and of directions, by a share of the rays. */
@@ -459,37 +490,48 @@ static void measure_moves(const lmg_judge *q, double share, moves out[2])
 {
     /* Of a sum c of independent changes, c^2 less the sum of their squares v has the square of c's mean as its own mean; with that
      * m^2, its variance is 2 v^2 + 4 m^2 v. */
-    double variance[2] = {0};
-    int used[2] = {0};
     out[0] = out[1] = (moves){0};
-    for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++) {
-        const int far = k >= LMG_JUDGE_PLANES;
-        const double weight = k > LMG_JUDGE_PLANES ? LMG_GOOD_INTENSITY * LMG_GOOD_INTENSITY / (LMG_GOOD_BEAM * LMG_GOOD_BEAM) : 1;
-        const double energy = share * share * q->receivers[k].energy;
-        if (!(energy > 0))
-            continue;
-        double sum = 0, square = 0;
-        for (int i = 0; i < LMG_JUDGE_PIXELS; i++) {
-            double c = (double)q->whole->change[k][i], v = (double)q->whole->squares[k][i], e = c * c - v;
-            sum += e;
-            square += 2 * v * v + 4 * fmax(e, 0) * v;
+    for (int scale = 0; scale < SCALES; scale++) {
+        double error[2] = {0}, variance[2] = {0}, sum_of_se[2] = {0}; /* receivers that see the same: the most that it can be */
+        int used[2] = {0};
+        for (int k = 0; k < LMG_JUDGE_RECEIVERS; k++) {
+            const int far = k >= LMG_JUDGE_PLANES;
+            const double weight =
+                k > LMG_JUDGE_PLANES ? LMG_GOOD_INTENSITY * LMG_GOOD_INTENSITY / (LMG_GOOD_BEAM * LMG_GOOD_BEAM) : 1;
+            const double energy = share * share * q->energy[scale][k];
+            if (!(energy > 0))
+                continue;
+            double sum = 0, square = 0;
+            for (int i = 0; i < LMG_JUDGE_PIXELS >> (2 * scale); i++) {
+                double c, v;
+                square_of_pixels(q->whole, k, scale, i, &c, &v);
+                const double e = c * c - v;
+                sum += e;
+                square += 2 * v * v + 4 * fmax(e, 0) * v;
+            }
+            error[far] += weight / energy * sum;
+            sum_of_se[far] += weight / energy * sqrt(square);
+            variance[far] += weight * weight / (energy * energy) * square;
+            used[far]++;
         }
-        out[far].error += weight / energy * sum;
-        out[far].sum_of_se += weight / energy * sqrt(square);
-        variance[far] += weight * weight / (energy * energy) * square;
-        used[far]++;
-    }
-    for (int far = 0; far < 2; far++) {
-        const double n = fmax(used[far], 1);
-        out[far] = (moves){out[far].error / n, sqrt(variance[far]) / n, out[far].sum_of_se / n};
+        for (int far = 0; far < 2; far++) {
+            const double n = fmax(used[far], 1), se = sqrt(variance[far]) / n, certain = error[far] / n - CERTAIN * se;
+            if (scale == 0)
+                out[far].error = error[far] / n;
+            if (certain > out[far].certain) {
+                out[far].certain = certain;
+                out[far].se = se;
+            }
+            out[far].least = fmax(out[far].least, certain - SURE * sum_of_se[far] / n);
+        }
     }
 }
 
-/* By the parts placed, to which a limit matters.  *least: what the error by all rays won't be below, three standard errors from
+/* By the parts placed, to which a limit matters.  *least: what the error by all rays won't be below, SURE standard errors from
  * what these say. */
 static lmg_verdict conclude(lmg_judge *q, bool by_radiance, double limit, double *least)
 {
-    static const double GOOD[2] = {LMG_GOOD_ILLUMINANCE * LMG_GOOD_ILLUMINANCE, LMG_GOOD_INTENSITY * LMG_GOOD_INTENSITY}, SURE = 3;
+    static const double GOOD[2] = {LMG_GOOD_ILLUMINANCE * LMG_GOOD_ILLUMINANCE, LMG_GOOD_INTENSITY * LMG_GOOD_INTENSITY};
     const double share = (double)rays_before(q, q->end_part) / (double)(q->count ? q->count : 1), total = share * q->pl->total;
     const double beside = q->whole->beside / total, least_beside = fmax(beside - SURE * sqrt(q->whole->beside_squares) / total, 0);
     lmg_verdict v = {0};
@@ -499,9 +541,9 @@ static lmg_verdict conclude(lmg_judge *q, bool by_radiance, double limit, double
     if (!by_radiance)
         measure_moves(q, share, m);
     for (int far = 0; far < 2; far++) {
-        v.error += (fmax(m[far].error - m[far].se, 0) + beside * beside) / GOOD[far];
-        variance += m[far].error > m[far].se ? m[far].se * m[far].se / (GOOD[far] * GOOD[far]) : 0;
-        *least += (fmax(m[far].error - m[far].se - SURE * m[far].sum_of_se, 0) + least_beside * least_beside) / GOOD[far];
+        v.error += (m[far].certain + beside * beside) / GOOD[far];
+        variance += m[far].se * m[far].se / (GOOD[far] * GOOD[far]);
+        *least += (m[far].least + least_beside * least_beside) / GOOD[far];
     }
     v.illuminance = fmax(m[0].error, 0) + beside * beside;
     v.intensity = fmax(m[1].error, 0) + beside * beside;

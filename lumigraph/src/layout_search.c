@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * What is best for one direction: in turn where its (u,v) plane stands, which window in (s,t) holds the beam if there is one, how the cells
- * are shared out between (u,v) and (s,t) and between window and the rest, and whether fewer of them would do better.  Before that, whether
- * light comes from a small place that deserves a slab of its own.  Relies on layout_judge.h.
+ * What is best for one direction: in turn where its (u,v) plane stands, which window in (s,t) holds the beam if there is one, how
+ * the cells are shared out between (u,v) and (s,t) and between window and the rest, and whether fewer of them would do better.
+ * Before that, whether light comes from a small place that deserves a slab of its own.  Relies on layout_judge.h.
  */
 #include "layout_search.h"
 
@@ -15,8 +15,8 @@
 static const double RECTANGLE_TAIL = 5e-5;
 /* Where a face's light ends is told by so many of its outermost rays, and supposed no farther out than this part of the width. */
 static const double OUTERMOST = 16, UNDISCOVERED = 0.05;
-/* A candidate has to be this much better than what stands, and by more than chance: dozens are tried, and the luckiest of equals mustn't
- * win. */
+/* A candidate has to be this much better than what stands, and by more than chance: dozens are tried, and the luckiest of equals
+ * mustn't win. */
 static const double GAIN = 0.97;
 /* A window has to promise less than this part of the error without it. */
 static const double WINDOW_WORTH = 0.8;
@@ -26,7 +26,8 @@ static const double FOCUS_WORTH = 4;
 static const double FEWEST = 1000;
 /* For finding where light is narrow every so many-th ray will do. */
 enum { SCAN = 5 };
-/* Narrowest (u,v) rectangle, in sizes: light from a point gets a place whose radiance is finite and that no receiver tells from a point. */
+/* Narrowest (u,v) rectangle, in sizes: light from a point gets a place whose radiance is finite and that no receiver tells from a
+ * point. */
 static const double NARROWEST = 1e-3;
 
 static uint32_t whole(double x)
@@ -44,7 +45,12 @@ static void cut(double n, double w, double h, uint32_t *nw, uint32_t *nh)
 /* The frame of a choice's slabs, at its depth. */
 static lmg_slab frame_of(const lmg_pilot *pl, const lmg_choice *c)
 {
-    lmg_slab s = {.kind = c->kind, .distance = c->kind == LMG_SLAB_CUBE ? c->distance : (double)INFINITY, .s0 = -1, .s1 = 1, .t0 = -1, .t1 = 1};
+    lmg_slab s = {.kind = c->kind,
+                  .distance = c->kind == LMG_SLAB_CUBE ? c->distance : (double)INFINITY,
+                  .s0 = -1,
+                  .s1 = 1,
+                  .t0 = -1,
+                  .t1 = 1};
     lmg_class_frame(c->class, &s.a, &s.b, &s.n);
     lmg_vec3 mid = v_scale(0.5, v_add(pl->lo, pl->hi));
     s.o = v_fma(mid, c->depth - v_dot(mid, s.n), s.n);
@@ -80,8 +86,8 @@ uint32_t lmg_choice_slabs(const lmg_pilot *pl, const lmg_choice *c, lmg_slab out
         out[count++] = main;
         return count;
     }
-    /* The window's borders are borders of the main slab's cells, so that no cell of that is partly covered: among resolutions about the wanted
-     * one, that whose borders lie closest around the beam. */
+    /* The window's borders are borders of the main slab's cells, so that no cell of that is partly covered: among resolutions about
+     * the wanted one, that whose borders lie closest around the beam. */
     lmg_slab window = main;
     for (int axis = 0; axis < 2; axis++) {
         double lo = c->st[2 * axis], hi = c->st[2 * axis + 1], best = INFINITY;
@@ -131,10 +137,10 @@ static bool belongs(const lmg_pilot *pl, size_t i, const lmg_choice *c, lmg_vec3
 }
 
 /*
- * How far beyond the outermost ray light may go on that the pilot didn't meet; gap: between the outermost ray and the OUTERMOST-th.  Where
- * the number of rays beyond x falls like (end - x)^k, the j-th of them is about j^(1/k) times as far from the end as the first.  At a sharp
- * edge k is 1; past a globe, where only the most slanting light goes, it is 2.5, rounded up.  Half as much again, since one ray's place is
- * chance.
+ * How far beyond the outermost ray light may go on that the pilot didn't meet; gap: between the outermost ray and the OUTERMOST-th.
+ * Where the number of rays beyond x falls like (end - x)^k, the j-th of them is about j^(1/k) times as far from the end as the
+ * first.  At a sharp edge k is 1; past a globe, where only the most slanting light goes, it is 2.5, rounded up.  Half as much
+ * again, since one ray's place is chance.
  */
 static double undiscovered(double gap, double width)
 {
@@ -162,14 +168,16 @@ static bool fit_rectangle_to(const lmg_pilot *pl, lmg_choice *c, size_t stride)
         if (!n)
             return false;
         bool faces = c->kind == LMG_SLAB_CUBE;
-        lmg_interval q = lmg_quantiles(pl->x, pl->w, n, RECTANGLE_TAIL), outer = faces && stride == 1 ? lmg_quantiles(pl->x, pl->w, n, OUTERMOST / (double)n) : q;
+        lmg_interval q = lmg_quantiles(pl->x, pl->w, n, RECTANGLE_TAIL),
+                     outer = faces && stride == 1 ? lmg_quantiles(pl->x, pl->w, n, OUTERMOST / (double)n) : q;
         /* Light with an edge: the outermost of all rays is where its edge is, and is taken.  Light that thins out: the quantile. */
         double width = q.hi - q.lo, lo = q.lo, hi = q.hi;
         if (q.least >= q.lo - 0.02 * width)
             lo = q.least - (faces ? undiscovered(outer.lo - q.least, width) : 0);
         if (q.most <= q.hi + 0.02 * width)
             hi = q.most + (faces ? undiscovered(q.most - outer.hi, width) : 0);
-        /* Margin: what n rays leave undiscovered of a sharp edge, a few n-ths of the width; never less than the bounds' rounding. */
+        /* Margin: what n rays leave undiscovered of a sharp edge, a few n-ths of the width; never less than the bounds' rounding.
+         */
         double margin = 4.0 / (double)n * (hi - lo) + 1e-7 * v_length(half);
         margin = fmax(margin, 0.5 * (NARROWEST * pl->size - (hi - lo)));
         lo -= margin;
@@ -267,8 +275,8 @@ static void search_depth(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, d
     fit_rectangle(pl, c);
 }
 
-/* Nested rectangles in (s,t) around the densest light: the emptiest border strip of a histogram is taken off again and again; wherever
- * the area has halved, a rectangle is kept.  A rectangle grown small is looked at in a finer histogram. */
+/* Nested rectangles in (s,t) around the densest light: the emptiest border strip of a histogram is taken off again and again;
+ * wherever the area has halved, a rectangle is kept.  A rectangle grown small is looked at in a finer histogram. */
 enum { MAX_NESTED = 24, BINS = 64 };
 static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTED][4])
 {
@@ -296,7 +304,8 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
         }
         if (level == 0)
             total = inside;
-        /* a window that holds little of the light isn't worth its cells; a beam exactly on the border of classes may leave one empty */
+        /* a window that holds little of the light isn't worth its cells; a beam exactly on the border of classes may leave one
+         * empty */
         if (!(inside > 0) || inside < 0.2 * total)
             break;
         int x0 = 0, x1 = BINS, y0 = 0, y1 = BINS, kept = BINS * BINS;
@@ -312,8 +321,8 @@ static int nested(const lmg_pilot *pl, const lmg_choice *c, double out[MAX_NESTE
             }
             int least = 0;
             for (int k = 0; k < 4; k++) {
-                /* by density; of about equals that of the longer direction, so that the rectangle doesn't turn into a stripe, and that which
-                 * is farther from the middle of the light */
+                /* by density; of about equals that of the longer direction, so that the rectangle doesn't turn into a stripe, and
+                 * that which is farther from the middle of the light */
                 double strip = k < 2 ? y1 - y0 : x1 - x0, across = k < 2 ? x1 - x0 : y1 - y0, middle = mean[k / 2] / inside;
                 double away = fmax(k == 0 ? middle - x0 : k == 1 ? x1 - middle : k == 2 ? middle - y0 : y1 - middle, 1);
                 side[k] = (side[k] + STRAY * inside) / (strip * across * across * away * away);
@@ -386,8 +395,8 @@ static lmg_verdict fewer_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
     return best;
 }
 
-/* Window or none: each that nested() finds, with cells shared out evenly, and, if there may be fewer, with a few numbers of them: a narrow
- * window is worth it with fewer cells than a wide one. */
+/* Window or none: each that nested() finds, with cells shared out evenly, and, if there may be fewer, with a few numbers of them: a
+ * narrow window is worth it with fewer cells than a wide one. */
 static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, lmg_verdict best)
 {
     double rects[MAX_NESTED][4], gain = WINDOW_WORTH;
@@ -413,8 +422,8 @@ static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choi
 }
 
 /*
- * What the light has of squared radiance, without end of cells: the error of ever finer cells falls like their width where light has
- * edges, hence like the fourth root of their number, and two of them tell where it leads.
+ * What the light has of squared radiance, without end of cells: the error of ever finer cells falls like their width where light
+ * has edges, hence like the fourth root of their number, and two of them tell where it leads.
  */
 static double square_of(const lmg_pilot *pl, lmg_judge *judge, const lmg_choice *c)
 {
@@ -450,7 +459,13 @@ lmg_verdict lmg_choice_search(lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
     search_depth(pl, judge, c, centre - depth, centre + depth, 16);
     pl->photons = photons;
     lmg_verdict best = fewer_cells(pl, judge, c, judge_choice(pl, judge, c, false, INFINITY));
-    best = share_cells(pl, judge, c, best);
+    /* where another split is better, other numbers of cells may be */
+    for (double bias = 0; c->bias != bias;) {
+        bias = c->bias;
+        best = share_cells(pl, judge, c, best);
+        if (c->bias != bias)
+            best = fewer_cells(pl, judge, c, best);
+    }
     bool may_window = !(c->fixed && (c->fixed[2] || c->fixed[3])) && (c->kind == LMG_SLAB_APERTURE || isinf(c->distance));
     if (may_window)
         best = search_window(pl, judge, c, best);
@@ -474,7 +489,8 @@ void lmg_focus_cut(lmg_slab *focus, double cells, double bias)
 }
 
 /* Where most rays cross, by histograms zoomed into their fullest bin and its neighbours: (u,v) of its middle. */
-static void densest(const double *u, const double *v, const double *w, size_t n, double u0, double u1, double v0, double v1, double at[2])
+static void densest(const double *u, const double *v, const double *w, size_t n, double u0, double u1, double v0, double v1,
+                    double at[2])
 {
     enum { SIDE = 32, ZOOMS = 3 };
     for (int zoom = 0; zoom < ZOOMS; zoom++) {
@@ -512,7 +528,8 @@ typedef struct crossings {
     crossing *sorted;
 } crossings;
 
-/* How concentrated the light is at a depth: the largest (share of flux)^2 / (area), m^-2, over squares around the densest place; that square. */
+/* How concentrated the light is at a depth: the largest (share of flux)^2 / (area), m^-2, over squares around the densest place;
+ * that square. */
 static double concentration(const lmg_pilot *pl, const lmg_slab *frame, const crossings *x, double rect[4])
 {
     static const double LEAST_SHARE = 0.05;

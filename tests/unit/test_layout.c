@@ -157,9 +157,9 @@ static void hopeless_candidates_are_given_up(void **state)
             const lmg_verdict all = lmg_judge_slabs(judge, &s, 1, by_radiance, INFINITY);
             const lmg_verdict within = lmg_judge_slabs(judge, &s, 1, by_radiance, all.error + 1e-9);
             assert_memory_equal(&all, &within, sizeof all);
-            /* Half of the rays have a standard error twice as large at most; four of them, twice as much for receivers that see the
-             * same, are 16 of all rays'. */
-            assert_true(all.error > 16 * all.se);
+            /* Half of the rays have a standard error twice as large at most.  Two of them and three more, twice as much for receivers
+             * that see the same, are 16 of all rays', two of which are taken off already. */
+            assert_true(all.error > 14 * all.se);
             assert_true(isinf(lmg_judge_slabs(judge, &s, 1, by_radiance, 0).error));
         }
     lmg_judge_destroy(judge);
