@@ -96,8 +96,9 @@ static void add_box_light(const view_scene *scene, uint32_t index, lmg_vec3 poin
     }
 }
 
-/* A sample of one light as seen from a point, in the world frame. */
-static bool sample_light(const view_scene *scene, const view_light *light, lmg_vec3 p, const double xi[3], lum_light_sample *out)
+/* A sample of one light as seen from a point, in the world frame.  A box's radiance comes from of_box, later (box_radiance). */
+static bool sample_light(const view_scene *scene, const view_light *light, lmg_vec3 p, const double xi[3], lum_light_sample *out,
+                         lmg_point_sample *of_box)
 {
     if (light->kind == VIEW_LIGHT_EMITTERS) {
         const view_object *object = &scene->objects[light->index];
@@ -112,18 +113,26 @@ static bool sample_light(const view_scene *scene, const view_light *light, lmg_v
     }
     const view_box *box = &scene->boxes[light->index];
     lmg_vec3 own = view_point_in(&box->motion, p);
-    lmg_point_sample sample;
-    if (view_box_inside(box, p) || !lmg_field_sample_point(box->field, own, xi, &sample)) {
+    if (view_box_inside(box, p) || !lmg_field_sample_point(box->field, own, xi, of_box)) {
         return false;
     }
-    *out = (lum_light_sample){.direction = view_direction_out(&box->motion, sample.direction),
-                              .distance = sample.distance,
-                              .pdf = sample.pdf,
+    *out = (lum_light_sample){.direction = view_direction_out(&box->motion, of_box->direction),
+                              .distance = of_box->distance,
+                              .pdf = of_box->pdf,
                               .material = LUM_NONE};
-    for (int c = 0; c < 3; c++) {
-        out->radiance[c] = sample.radiance[c] * (float)box->scale;
+    return true;
+}
+
+/* False when it is dark there. */
+static bool box_radiance(const view_box *box, const lmg_point_sample *sample, float radiance[3])
+{
+    if (!lmg_field_sample_radiance(box->field, sample, radiance)) {
+        return false;
     }
-    return sample.pdf > 0;
+    for (int c = 0; c < 3; c++) {
+        radiance[c] *= (float)box->scale;
+    }
+    return true;
 }
 
 /*
@@ -205,13 +214,17 @@ static void direct_light(const view_scene *scene, const view_path_options *optio
     }
     const double xi[3] = {lum_rng_next(rng), lum_rng_next(rng), lum_rng_next(rng)};
     lum_light_sample sample;
+    lmg_point_sample of_box;
     const view_light *from = &scene->lights[chosen];
-    if (!sample_light(scene, from, x->hit.position, xi, &sample)) {
+    if (!sample_light(scene, from, x->hit.position, xi, &sample, &of_box)) {
         return;
     }
     lmg_vec3 w = view_direction_in(&x->object->motion, sample.direction);
     double f[LUM_WAVES], light[LUM_WAVES];
     if (!view_reflect(x, bands, w, f)) {
+        return;
+    }
+    if (from->kind == VIEW_LIGHT_BOX && !box_radiance(&scene->boxes[from->index], &of_box, sample.radiance)) {
         return;
     }
     double pdf = sample.pdf * (worker->weights[chosen] / total);

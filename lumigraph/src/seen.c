@@ -474,8 +474,17 @@ LMG_WIDE bool lmg_field_sample_point(const lmg_field *field, lmg_vec3 point, con
         out->pdf = density(&s, w, &l, c);
     else
         out->pdf = lmg_field_point_pdf(field, point, d);
-    lmg_place_rgb(field, (uint32_t)j, &place, out->radiance);
-    if (out->radiance[0] == 0 && out->radiance[1] == 0 && out->radiance[2] == 0)
-        return false;
+    out->slab = (uint32_t)j;
+    out->cell = place.cell;
+    out->st = place.st;
+    memcpy(out->within, &place.x, sizeof out->within);
     return out->pdf > 0;
+}
+
+bool lmg_field_sample_radiance(const lmg_field *field, const lmg_point_sample *sample, float rgb[3])
+{
+    lmg_place place = {.cell = sample->cell, .st = sample->st};
+    memcpy(&place.x, sample->within, sizeof place.x);
+    lmg_place_rgb(field, sample->slab, &place, rgb);
+    return rgb[0] != 0 || rgb[1] != 0 || rgb[2] != 0;
 }

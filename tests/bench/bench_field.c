@@ -101,6 +101,16 @@ static void run_sample(bench *b, size_t first, size_t count)
     }
 }
 
+static void run_sample_radiance(bench *b, size_t first, size_t count)
+{
+    for (size_t i = first; i < first + count; i++) {
+        lmg_point_sample s;
+        float rgb[3];
+        if (lmg_field_sample_point(b->field, b->points[i], b->xi[i], &s) && lmg_field_sample_radiance(b->field, &s, rgb))
+            b->sink += s.pdf + (double)rgb[0];
+    }
+}
+
 static void run_pdf(bench *b, size_t first, size_t count)
 {
     for (size_t i = first; i < first + count; i++) {
@@ -173,6 +183,7 @@ static void measure(lamp kind)
     best("radiance, nearest", &b, RAYS, run_nearest);
     best("radiance, linear", &b, RAYS, run_linear);
     best("sample from a point, with density", &b, RAYS, run_sample);
+    best("and its radiance at once", &b, RAYS, run_sample_radiance);
     best("density of a direction", &b, RAYS, run_pdf);
     best("emit a ray", &b, RAYS, run_emit);
     best("illuminance at a point", &b, 200, run_illuminance);

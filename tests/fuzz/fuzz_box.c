@@ -25,7 +25,7 @@ static void ask(const lmg_field *f)
         }
         const double xi[5] = {i / 27.0, 0.5, 0.25, 0.75, 0.125};
         lmg_point_sample s;
-        if (lmg_field_sample_point(f, p, xi, &s) && !(s.pdf > 0 && isfinite(s.radiance[0])))
+        if (lmg_field_sample_point(f, p, xi, &s) && (lmg_field_sample_radiance(f, &s, rgb), !(s.pdf > 0 && isfinite(rgb[0]))))
             abort();
         lmg_ray ray;
         if (lmg_field_emit(f, xi, &ray) && !isfinite(ray.origin.x + ray.origin.y + ray.origin.z))

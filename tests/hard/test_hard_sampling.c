@@ -51,10 +51,11 @@ static estimate by_sampling(const lmg_field *f, lmg_vec3 point, lmg_vec3 normal,
         lum_rng rng = lum_rng_stream(77, (uint64_t)i);
         const double xi[3] = {lum_rng_next(&rng), lum_rng_next(&rng), lum_rng_next(&rng)};
         lmg_point_sample s;
-        if (!lmg_field_sample_point(f, point, xi, &s))
+        float radiance[3];
+        if (!lmg_field_sample_point(f, point, xi, &s) || !lmg_field_sample_radiance(f, &s, radiance))
             continue;
         const double c = s.direction.x * normal.x + s.direction.y * normal.y + s.direction.z * normal.z;
-        const double w = c > 0 ? lmg_luminance(s.radiance) * c / s.pdf : 0;
+        const double w = c > 0 ? lmg_luminance(radiance) * c / s.pdf : 0;
         e.finite = e.finite && isfinite(w) && s.pdf > 0 && isfinite(s.pdf);
         e.pdf_mismatch = fmax(e.pdf_mismatch, fabs(lmg_field_point_pdf(f, point, s.direction) / s.pdf - 1));
         e.worst_weight = fmax(e.worst_weight, w);

@@ -333,12 +333,19 @@ typedef struct lmg_point_sample {
     lmg_vec3 direction; /* unit, from the point towards the box */
     double distance;    /* metres from the point to where the ray enters the bounds: what has to be free for the light to arrive; 0 inside */
     double pdf;         /* per steradian, > 0, exactly what lmg_field_point_pdf gives for this direction */
-    float radiance[3];  /* cd/m2 arriving along it, filter LMG_NEAREST */
+    /* Where its radiance is kept, for lmg_field_sample_radiance: slab, cell of it, (s,t) cell of it, and place in the cell, -1 to 1. */
+    uint32_t slab, st;
+    uint64_t cell;
+    float within[4];
 } lmg_point_sample;
 
 /* Samples a direction from point (outside the bounds) with density about proportional to the radiance that arrives; xi: three numbers
- * in [0,1).  False when the point gets no light or the sample carries none: then it counts as zero. */
+ * in [0,1).  False when the point gets no light that way: then the sample counts as zero. */
 LMG_API bool lmg_field_sample_point(const lmg_field *field, lmg_vec3 point, const double xi[3], lmg_point_sample *out);
+
+/* The radiance (cd/m2, as R,G,B) that arrives along a sample, filter LMG_NEAREST; false when it is zero.  It has been on its way from memory
+ * since lmg_field_sample_point: whoever evaluates a surface in between, or finds that the direction isn't wanted, doesn't wait for it. */
+LMG_API bool lmg_field_sample_radiance(const lmg_field *field, const lmg_point_sample *sample, float rgb[3]);
 
 /* The density (per steradian) with which lmg_field_sample_point gives direction (from the point towards the box). */
 LMG_API double lmg_field_point_pdf(const lmg_field *field, lmg_vec3 point, lmg_vec3 direction);
