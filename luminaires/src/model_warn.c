@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* What looks implausible in a model, one line per material or mesh and kind, each with the recipe entry that would settle it. */
 #include "model_build.h"
+#include "scene_data.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -151,6 +152,20 @@ static void warn_size(lum_build *b)
             size, x, y, z);
 }
 
+/* Whether a solid is a film whose two sides are so near to each other that light meets them in one place: they cancel. */
+static bool is_film(const lum_model *m, const lum_part *part)
+{
+    double error = 0;
+    for (uint32_t t = part->first_triangle; t < part->first_triangle + part->triangle_count; t++) {
+        float v[3][3];
+        for (int k = 0; k < 3; k++)
+            memcpy(v[k], m->positions + 3 * (size_t)m->indices[3 * (size_t)t + (size_t)k], sizeof v[k]);
+        error = fmax(error, lum_triangle_error((const float(*)[3])v));
+    }
+    /* of a plate, volume over half of the surface */
+    return 2 * part->enclosed_volume < LUM_TOUCHING_GAP * error * part->area;
+}
+
 /* Materials that let light through: openness, and transparency that only blends. */
 static void warn_transparency(lum_build *b)
 {
@@ -183,6 +198,13 @@ static void warn_transparency(lum_build *b)
                 "mesh \"%.60s\" (material \"%.60s\") is a solid that transmits light, but its faces look inward: glass and air are "
                 "exchanged. Turn its faces round in the model, or recipe entry \"thin\"",
                 part->mesh, material->name);
+            said[part->material] = true;
+        } else if (solid && is_film(m, part)) {
+            lum_warn(b,
+                     "mesh \"%.60s\" (material \"%.60s\") is a solid film of %.2g um, thinner than surfaces can be told apart at this "
+                     "size (3.8 um per metre from the middle): light passes it as if it wasn't there. Recipe entry \"thin\" makes it a "
+                     "sheet",
+                     part->mesh, material->name, 2e6 * part->enclosed_volume / part->area);
             said[part->material] = true;
         } else if (material->alpha_mode == LUM_ALPHA_BLEND && material->base_color[3] < 0.5f &&
                    material->base_texture.image == LUM_NONE && material->kind == LUM_SURFACE_PBR && material->transmission == 0) {

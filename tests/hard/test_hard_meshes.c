@@ -207,19 +207,23 @@ static void test_warned_glass(void **state)
         const char *name, *warning;
         uint32_t indices[15];
         uint32_t count;
+        float height; /* metres */
     } CASES[] = {
-        {"closed, faces outward", NULL, {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3}, 12},
-        {"open glass: a face missing", "is open (3 boundary edges)", {0, 2, 1, 0, 1, 3, 0, 3, 2}, 9},
-        {"inconsistent winding: a face turned", "(3 edges between them)", {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 3, 2}, 12},
-        {"all faces inward", "its faces look inward", {0, 1, 2, 0, 3, 1, 0, 2, 3, 1, 3, 2}, 12},
-        {"duplicate face", "1 triangle repeats another one", {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3, 2, 3, 1}, 15},
+        {"closed, faces outward", NULL, {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3}, 12, 0.1f},
+        {"open glass: a face missing", "is open (3 boundary edges)", {0, 2, 1, 0, 1, 3, 0, 3, 2}, 9, 0.1f},
+        {"inconsistent winding: a face turned", "(3 edges between them)", {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 3, 2}, 12, 0.1f},
+        {"all faces inward", "its faces look inward", {0, 1, 2, 0, 3, 1, 0, 2, 3, 1, 3, 2}, 12, 0.1f},
+        /* volume over half of the surface is a third of the height; 3.8 um times 0.05 m, half of the width, are 0.19 um */
+        {"a film of 0.21 um", NULL, {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3}, 12, 0.63e-6f},
+        {"a film of 0.17 um", "as if it wasn't there", {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3}, 12, 0.51e-6f},
+        {"duplicate face", "1 triangle repeats another one", {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3, 2, 3, 1}, 15, 0.1f},
     };
     for (size_t i = 0; i < sizeof(CASES) / sizeof(CASES[0]); ++i) {
         soup s = {.count = CASES[i].count};
         vertex(&s, 0, 0, 0);
         vertex(&s, 0.1f, 0, 0);
         vertex(&s, 0, 0.1f, 0);
-        vertex(&s, 0, 0, 0.1f);
+        vertex(&s, 0, 0, CASES[i].height);
         memcpy(s.indices, CASES[i].indices, sizeof(CASES[i].indices));
         lum_model *m = hard_load(write_soup(&s, GLASS), NULL);
         /* that it has no emitter is said, too */

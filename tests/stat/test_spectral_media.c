@@ -16,6 +16,7 @@
 #include "bake.h"
 #include "effects.h"
 #include "source.h"
+#include "stats.h"
 #include "tracer.h"
 
 #include <luminaires/spectrum.h>
@@ -227,6 +228,57 @@ static void filled_slab(void **state)
     }
 }
 
+/* Directions of rays out of the beam, in cells of equal solid angle. */
+enum { ZONES = 8, SECTORS = 9 };
+typedef struct sphere_counts {
+    double count[ZONES * SECTORS], all;
+} sphere_counts;
+
+static void count_directions(void *self, const lmg_ray *rays, size_t count)
+{
+    sphere_counts *c = self;
+    for (size_t i = 0; i < count; ++i) {
+        const lmg_vec3 d = rays[i].direction;
+        if (d.y > 1 - 1e-9)
+            continue;
+        const int zone = (int)fmin(floor(0.5 * (1 + d.y) * ZONES), ZONES - 1);
+        const int sector = (int)fmin(floor((atan2(d.z, d.x) / 6.283185307179586 + 0.5) * SECTORS), SECTORS - 1);
+        ++c->count[zone * SECTORS + sector];
+        ++c->all;
+    }
+}
+
+/* Particles emit to all sides alike, whichever way the light came that they have taken and whatever the medium's phase function: in a slab
+ * of index 1 without scattering what is emitted goes straight out.  Null hypothesis of the chi-square test: directions are independent and
+ * uniform on the sphere, 72 cells of equal solid angle, 71 degrees of freedom. */
+static void phosphor_emits_to_all_sides(void **state)
+{
+    (void)state;
+    lum_spectrum excitation, yellow;
+    uint32_t material;
+    lum_model *m = slab(&material);
+    make_phosphor(&m->materials[material], 1 / THICKNESS, 0.9, &excitation, &yellow);
+    m->materials[material].anisotropy = 0.7f;
+    bake_source *s;
+    lmg_error err = {{0}};
+    assert_int_equal(bake_tracer_create(m, 37, &s, &err), LMG_OK);
+    bake_tally t = {0};
+    static sphere_counts seen;
+    const lmg_sink sink = {&seen, count_directions};
+    assert_int_equal(s->run(s, 0, (uint64_t)PHOTONS, 1, &sink, 1, &t, &err), LMG_OK);
+    s->destroy(s);
+    free_model(m);
+    double expected[ZONES * SECTORS], statistic;
+    int degrees;
+    for (int i = 0; i < ZONES * SECTORS; ++i)
+        expected[i] = seen.all / (ZONES * SECTORS);
+    const double p = stats_chi_square(seen.count, expected, ZONES * SECTORS, &statistic, &degrees);
+    print_message("%.0f rays emitted, chi-square %.1f of %d degrees, p = %.3f\n", seen.all, statistic, degrees, p);
+    assert_int_equal(degrees, ZONES * SECTORS - 1);
+    assert_true(seen.all > 5000); /* a density off by a tenth, up in one half and down in the other, would have a chi-square of 50 more */
+    assert_true(p > 7e-6);
+}
+
 static void count_lumens(void *self, const lmg_ray *rays, size_t count)
 {
     double *sum = self;
@@ -355,6 +407,6 @@ static void filled_dome(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(haze_is_blue), cmocka_unit_test(filled_slab), cmocka_unit_test(filled_dome)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(haze_is_blue), cmocka_unit_test(phosphor_emits_to_all_sides), cmocka_unit_test(filled_slab), cmocka_unit_test(filled_dome)};
     return cmocka_run_group_tests_name("spectral_media", tests, NULL, NULL);
 }
