@@ -30,7 +30,7 @@ static const uint64_t ROUND_MIN = 8192;
 static const double DEFAULT_SECONDS = 60, DEFAULT_CHECKPOINT_SECONDS = 60;
 /* Cells for the size of a file: never more than memory and time allow, than photons find, or, unless asked for, than a lamp's near field needs. */
 static const uint64_t DEFAULT_CELLS = 4000000, MOST_CELLS = 64000000;
-static const double CELLS_PER_PHOTON = 4;
+static const double CELLS_PER_PHOTON = 16;
 /* Receiver that the noise is told on. */
 static const uint32_t NOISE_PIXELS = 32;
 
@@ -434,7 +434,7 @@ static lmg_result choose_layout(bake *b, double seconds, lmg_layout *layout, cha
     if (fit.cells || fit.resolution[0] || fit.resolution[1] || fit.resolution[2] || fit.resolution[3]) {
         result = lmg_layout_fit(rays, count, &fit, layout, why, err);
     } else {
-        /* what a cell is too many that one photon in CELLS_PER_PHOTON finds; but as many as always for few photons */
+        /* narrow light fills a few hundredths of the cells, so that there may be more of them than photons */
         const double most = o->size > 0 ? fmin(fmax(CELLS_PER_PHOTON * photons, (double)DEFAULT_CELLS), (double)MOST_CELLS) : (double)DEFAULT_CELLS;
         const double wanted = o->size > 0 ? o->size : BAKE_SIZE;
         bake_size size;

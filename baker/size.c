@@ -17,6 +17,10 @@ static const double PHOTON_BYTES = 10;
 /* A trial of fewer cells says nothing: its windows and rectangles are of a few cells each. */
 static const double LEAST_TRIAL = 4000;
 static const uint64_t LEAST_CELLS = 20000;
+/* The second trial's share of the rays and cells, and what bytes of light on a set of two of the four dimensions grow by: the least
+ * that a lamp can do. */
+enum { SMALLER = 4 };
+static const double LEAST_GROWTH = 0.5;
 /* Part of the size that is aimed at: trials are off by about a tenth. */
 static const double AIM = 0.9;
 
@@ -61,6 +65,12 @@ static double tiles_of(const lmg_layout *layout)
     return tiles;
 }
 
+/* What a trial's cells take; never nothing. */
+static double bytes_of_cells(const trial *t)
+{
+    return fmax(t->bytes - HEADER_BYTES / 2 - TILE_BYTES * t->tiles, 1);
+}
+
 /* A slab's cells, fewer in all by a factor. */
 static uint32_t coarser(uint32_t n, double factor)
 {
@@ -95,8 +105,8 @@ static lmg_result try_cells(const lmg_ray *rays, size_t count, lmg_layout layout
     return result;
 }
 
-lmg_result bake_size_choose(const lmg_ray *rays, size_t count, double pilot_photons, double photons, const lmg_fit_options *fit, double bytes,
-                            uint64_t most, lmg_layout *layout, char why[1024], bake_size *out, lmg_error *err)
+lmg_result bake_size_choose(const lmg_ray *rays, size_t count, double pilot_photons, double photons, const lmg_fit_options *fit,
+                            double bytes, uint64_t most, lmg_layout *layout, char why[1024], bake_size *out, lmg_error *err)
 {
     const double density = fmax(photons / pilot_photons, 1);
     lmg_fit_options wishes = *fit;
@@ -109,16 +119,22 @@ lmg_result bake_size_choose(const lmg_ray *rays, size_t count, double pilot_phot
         const double cells = cells_of(layout);
         if (HEADER_BYTES + PHOTON_BYTES * photons + TILE_BYTES * tiles_of(layout) <= bytes)
             return LMG_OK;
-        trial t;
-        result = try_cells(rays, count, *layout, 1 / fmax(fmin(density, cells / LEAST_TRIAL), 1), &t, err);
+        const double factor = 1 / fmax(fmin(density, cells / LEAST_TRIAL), 1);
+        trial t, small;
+        result = try_cells(rays, count, *layout, factor, &t, err);
+        if (result == LMG_OK)
+            result = try_cells(rays, count / SMALLER, *layout, factor / SMALLER, &small, err);
         if (result != LMG_OK)
             return result;
-        out->bytes = HEADER_BYTES + TILE_BYTES * tiles_of(layout) +
-                     fmax(t.bytes - HEADER_BYTES / 2 - TILE_BYTES * t.tiles, 0) * cells / fmax(t.cells, 1);
+        /* edges matter less the finer cells are, so the exponent is between what the trials show and 1 */
+        const double shown = log(bytes_of_cells(&t) / bytes_of_cells(&small)) / log(fmax(t.cells / small.cells, 1.5));
+        const double exponent = 0.5 * (1 + fmin(fmax(shown, LEAST_GROWTH), 1));
+        out->bytes = HEADER_BYTES + TILE_BYTES * tiles_of(layout) + bytes_of_cells(&t) * pow(cells / fmax(t.cells, 1), exponent);
         if (out->bytes <= bytes || wishes.cells <= LEAST_CELLS)
             return LMG_OK;
-        /* fewer cells get more photons each, so that bytes go down more slowly than cells */
-        const double fewer = fmin((double)wishes.cells, cells) * fmin(AIM * bytes / out->bytes, 0.8);
+        /* fewer cells get more photons each, so that bytes go down more slowly still; and 0.8 is a step that is worth a fit */
+        const double fewer = fmin((double)wishes.cells, cells) * fmin(pow(AIM * bytes / out->bytes, 1 / exponent), 0.8);
         wishes.cells = fewer > (double)LEAST_CELLS ? (uint64_t)fewer : LEAST_CELLS;
+        wishes.fewer_cells = false; /* photons are worth more than the size allows, so all that it allows are taken */
     }
 }

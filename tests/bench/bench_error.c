@@ -6,7 +6,7 @@
  *
  *     test_bench_error [LAMP|all [near-field|far-field|luminance [seeds [PERCENT ...]]]]
  *
- * By default 2 % of the near field, and 1 % of the LED, which the search's first and smallest bake would be better than.
+ * By default 2 % of the near field.
  */
 #include "target.h"
 
@@ -125,31 +125,27 @@ static bool try_lamp(const char *name, judge_measure of, double asked, unsigned 
 
 int main(int argc, char **argv)
 {
-    static const struct {
-        const char *name;
-        double asked;
-    } LAMPS[] = {
-        {"paraboloid-spot", 0.02}, {"glass-lens", 0.02}, {"louvred-panel", 0.02}, {"opal-globe", 0.02}, {"phosphor-led", 0.01}};
+    static const char *const LAMPS[] = {"paraboloid-spot", "glass-lens", "louvred-panel", "opal-globe", "phosphor-led"};
     static const char *const MEASURES[JUDGE_MEASURES] = {"near-field", "far-field", "luminance"};
     const char *wanted = argc > 1 ? argv[1] : "all", *measure = argc > 2 ? argv[2] : MEASURES[0];
     const unsigned seeds = argc > 3 ? (unsigned)atoi(argv[3]) : 10;
-    double asked[MOST_ASKED] = {0};
-    int count = 0;
+    double asked[MOST_ASKED] = {0.02};
+    int count = argc > 4 ? 0 : 1;
     for (int i = 4; i < argc && count < MOST_ASKED; ++i)
         asked[count++] = 0.01 * atof(argv[i]);
     int of = 0;
     while (of < JUDGE_MEASURES && strcmp(measure, MEASURES[of]) != 0)
         ++of;
-    if (of == JUDGE_MEASURES || seeds == 0 || (count > 0 && !(asked[count - 1] > 0))) {
+    if (of == JUDGE_MEASURES || seeds == 0 || !(asked[count - 1] > 0)) {
         fprintf(stderr, "usage: %s [LAMP|all [near-field|far-field|luminance [seeds [PERCENT ...]]]]\n", argv[0]);
         return 2;
     }
     bool right = true, any = false;
     for (size_t i = 0; i < sizeof(LAMPS) / sizeof(LAMPS[0]); ++i)
-        for (int k = 0; k < (count > 0 ? count : 1); ++k)
-            if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i].name) == 0) {
+        for (int k = 0; k < count; ++k)
+            if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i]) == 0) {
                 any = true;
-                right &= try_lamp(LAMPS[i].name, (judge_measure)of, count > 0 ? asked[k] : LAMPS[i].asked, seeds);
+                right &= try_lamp(LAMPS[i], (judge_measure)of, asked[k], seeds);
             }
     if (!any)
         fprintf(stderr, "no sample lamp is called '%s'\n", wanted);

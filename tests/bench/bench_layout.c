@@ -24,6 +24,8 @@
 
 enum { SEED = 5, MEASURES = JUDGE_MEASURES + 1 };
 static const double GOOD[JUDGE_MEASURES] = {0.006, 0.02, 0.3}, TARGET = 1.1;
+/* As many as --size takes at most: gigabytes of memory. */
+static const double MOST_CELLS = 64e6;
 
 static void demand(lmg_result r, const lmg_error *err)
 {
@@ -119,6 +121,8 @@ static bool try_lamp(const char *name, uint64_t photons, double size, uint64_t j
             const uint32_t n[4] = {chosen.widest.nu, chosen.widest.nv, chosen.widest.ns, chosen.widest.nt};
             for (int k = 0; k < 4; ++k)
                 o.fit.resolution[k] = (uint32_t)fmax(floor((k < 2 ? uv : st) * n[k] + 0.5), 1);
+            if ((double)o.fit.resolution[0] * o.fit.resolution[1] * o.fit.resolution[2] * o.fit.resolution[3] > MOST_CELLS)
+                continue;
             snprintf(what, sizeof(what), "--resolution %u,%u,%u,%u", o.fit.resolution[0], o.fit.resolution[1], o.fit.resolution[2],
                      o.fit.resolution[3]);
         } else {
