@@ -450,7 +450,7 @@ static void bulb_filled_to_the_wall(void **state)
         free_model(model);
         print_message("bulb, %s: %.0f out, lost %.2g, absorbed %.2g\n", kind ? "contact" : "overlap", tally.escaped,
                       tally.lost / tally.emitted, tally.absorbed / tally.emitted);
-        assert_true(tally.lost <= 1e-6 * tally.emitted);
+        assert_true(tally.lost <= 1); /* of a million; sanitizers follow the first 200,000 of the same */
         assert_true(tally.absorbed == 0);
     }
     for (int kind = 1; kind < 3; kind++) {
