@@ -28,7 +28,8 @@ static const double PILOT_SHARE = 0.05;
 static const double ROUND_SECONDS = 0.5;
 static const uint64_t ROUND_MIN = 8192;
 static const double DEFAULT_SECONDS = 60, DEFAULT_CHECKPOINT_SECONDS = 60;
-/* Cells for the size of a file: never more than memory and time allow, than photons find, or, unless asked for, than a lamp's near field needs. */
+/* Cells for the size of a file: at most a few gigabytes of them; of more than sixteen to a photon nearly all stay dark; and, unless a size is
+ * asked for, no more than a lamp's near field needs. */
 static const uint64_t DEFAULT_CELLS = 4000000, MOST_CELLS = 64000000;
 static const double CELLS_PER_PHOTON = 16;
 /* Receiver that the noise is told on. */

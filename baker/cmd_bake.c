@@ -313,7 +313,8 @@ static void show_bake(void *self, unsigned bake, uint64_t photons, uint64_t cell
     fputc('\n', stderr);
 }
 
-/* The settings that decide the result (not threads, paths, or how the number of photons was reached), as canonical JSON. */
+/* The settings that decide the result (not threads or paths; photons, and those of the plan, are told elsewhere in the box), as canonical
+ * JSON. */
 static char *settings_text(const command *c)
 {
     static const char *const KINDS[] = {"auto", "cube", "aperture"};
@@ -330,6 +331,8 @@ static char *settings_text(const command *c)
     }
     if (c->bake.size > 0)
         json_object_set_new(o, "size", json_real(c->bake.size));
+    if (c->target.error > 0) /* up to 64 million cells then */
+        json_object_set_new(o, "error", json_real(c->target.error));
     if (c->bake.effects_error > 0)
         json_object_set_new(o, "effects_error", json_real(c->bake.effects_error));
     if (c->bake.flux_lm > 0)

@@ -2,6 +2,7 @@
 /* Threads over chunks of photon numbers.  Relies on POSIX threads and C11 atomics. */
 #include "parallel.h"
 
+#include <luminaires/rng.h>
 #include <luminaires/scene.h>
 
 #include <pthread.h>
@@ -77,4 +78,30 @@ lmg_result bake_parallel(const bake_work *work, uint64_t first, uint64_t count, 
     for (unsigned i = 0; i < threads; ++i)
         work->end(work->self, workers[i].state);
     return LMG_OK;
+}
+
+static uint64_t common_divisor(uint64_t a, uint64_t b)
+{
+    while (b) {
+        const uint64_t rest = a % b;
+        a = b;
+        b = rest;
+    }
+    return a;
+}
+
+uint64_t bake_pilot_place(uint64_t i, uint64_t count, uint64_t run, uint64_t seed)
+{
+    const uint64_t runs = count / run;
+    if (runs == 0)
+        return i % count;
+    /* by a step near the golden section of their number, which spreads any part of them evenly; what the last run leaves over goes before the
+     * first or after the last */
+    uint64_t step = (uint64_t)(0.6180339887498949 * (double)runs) + 1;
+    while (common_divisor(step, runs) != 1)
+        ++step;
+    const uint64_t turn = i / run % runs, begin = lum_mix64(seed);
+    __extension__ typedef unsigned __int128 wide; /* the product of two 64-bit numbers */
+    const uint64_t place = (uint64_t)(((wide)turn * step + begin % runs) % runs);
+    return begin / runs % (count % run + 1) + place * run + i % run;
 }

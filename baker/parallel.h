@@ -25,4 +25,8 @@ unsigned bake_thread_count(unsigned threads);
  * Denormal floats are flushed to zero while working (what Embree asks of every thread that traces), and as before afterwards. */
 lmg_result bake_parallel(const bake_work *work, uint64_t first, uint64_t count, unsigned threads, lmg_error *err);
 
+/* Which of the `count` items of a file (at least 1) the i-th of a pilot is: runs of `run` neighbours (an access to the file costs time) from
+ * all over the file, none twice before all have had their turn.  seed: where it starts. */
+uint64_t bake_pilot_place(uint64_t i, uint64_t count, uint64_t run, uint64_t seed);
+
 #endif

@@ -244,12 +244,8 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
     const set_source *s = ((const job *)self)->source;
     worker *w = state;
     for (uint64_t n = first; w->result == LMG_OK && n < first + count; ++n) {
-        uint64_t place = n;
-        if (n >= BAKE_PILOT_FIRST) {
-            const uint64_t i = n - BAKE_PILOT_FIRST, run = i / PILOT_RUN;
-            place = (lum_mix64(s->seed + run) + i % PILOT_RUN) % s->source.photons;
-        }
-        one_photon(s, w, place, n);
+        const bool pilot = n >= BAKE_PILOT_FIRST;
+        one_photon(s, w, pilot ? bake_pilot_place(n - BAKE_PILOT_FIRST, s->source.photons, PILOT_RUN, s->seed) : n, n);
     }
 }
 

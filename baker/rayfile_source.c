@@ -10,7 +10,6 @@
 #include "parallel.h"
 
 #include <luminaires/rayfile.h>
-#include <luminaires/rng.h>
 
 #include <inttypes.h>
 #include <math.h>
@@ -190,9 +189,8 @@ static bool read_pilot(const rayfile_source *s, worker *w, uint64_t first, uint6
     lmg_ray *all = w->rays, *at = all;
     bool good = true;
     for (uint64_t i = first - BAKE_PILOT_FIRST, stop = i + count; good && i < stop;) {
-        const uint64_t run = i / PILOT_RUN, within = i % PILOT_RUN;
-        const uint64_t place = rays > PILOT_RUN ? lum_mix64(s->seed + run) % (rays - PILOT_RUN + 1) + within : i % rays;
-        uint64_t n = rays > PILOT_RUN ? PILOT_RUN - within : 1;
+        const uint64_t place = bake_pilot_place(i, rays, PILOT_RUN, s->seed);
+        uint64_t n = rays >= PILOT_RUN ? PILOT_RUN - i % PILOT_RUN : 1;
         n = n < stop - i ? n : stop - i;
         w->rays = at;
         good = read_rays(w, place, (size_t)n, s->scale);

@@ -132,7 +132,8 @@ static double next_photons(const tried *list, size_t count, double photons, doub
         return 0;
     if (fabs(log(fmax(next, 1) / photons)) < 0.5 * log(NUDGE) || (ratio > 1) != (next > photons))
         next = ratio > 1 ? photons * NUDGE : photons / NUDGE;
-    return fmax(fmin(next, fmin(photons * LARGEST_STEP, MOST_PHOTONS)), FIRST_PHOTONS);
+    next = fmax(fmin(next, fmin(photons * LARGEST_STEP, MOST_PHOTONS)), FIRST_PHOTONS);
+    return next != photons ? next : 0; /* at an end of what is tried: the same photons make the same box */
 }
 
 lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *options, const bake_target *target, lmg_field **out,

@@ -2,7 +2,7 @@
 /*
  * Bakes to a stated error: boxes of rising size are judged by the lamp's own rays (judge.h) until one has the error asked for.
  *
- * Cells are as many as a bake of that many photons takes by itself (or as are asked for), so that photons alone are searched: a
+ * Cells are as many as so many photons are worth, however large the file (or as are asked for), so that photons alone are searched: a
  * power law through the boxes judged so far tells how many it takes.
  */
 #ifndef BAKER_TARGET_H

@@ -9,8 +9,9 @@
  *
  * A helper asks for its next block when it begins one, so that the answer is there when it has finished; it sends its part every
  * checkpoint's time.  What is handed out and never comes back, because a process died, is missing from the list of photons: the
- * first process traces it itself in the end, or whoever resumes the bake from its checkpoint. Nothing waits for ever: every receive
- * is polled and a process that is silent for SILENCE_SECONDS counts as dead.
+ * first process traces it itself in the end, or whoever resumes the bake from its checkpoint. Every receive is
+ * polled, and a process that is silent for SILENCE_SECONDS counts as dead; one that comes back after that is left to the launcher, which
+ * ends what remains of a job.
  *
  * Without MPI at build time only bake_team_join is left, which refuses to be one of several.
  */

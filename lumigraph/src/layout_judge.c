@@ -183,6 +183,23 @@ static void square_of_pixels(const sums *from, int k, int scale, int i, double *
         }
 }
 
+/* A step that goes through all of 0 .. count-1, modulo count, spread evenly from the start: rays may come in any order, as a file's do, and the
+ * first of them have to speak for all. */
+static size_t spread_step(size_t count)
+{
+    size_t step = (size_t)(0.6180339887498949 * (double)count) + 1; /* the golden section */
+    for (;; step++) {
+        size_t a = step, b = count;
+        while (b) {
+            const size_t rest = a % b;
+            a = b;
+            b = rest;
+        }
+        if (a == 1)
+            return step;
+    }
+}
+
 lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all)
 {
     lmg_judge *q = calloc(1, sizeof *q);
@@ -208,21 +225,25 @@ lmg_judge *lmg_judge_create(const lmg_pilot *pl, int c, bool all)
     }
     set_planes(q);
     /* relative to all light on the receivers, whatever its class */
-    for (size_t first = 0; first < pl->count; first += LMG_COLUMN) {
+    const size_t step = spread_step(pl->count);
+    for (size_t first = 0, ray = 0; first < pl->count; first += LMG_COLUMN) {
         const size_t n = pl->count - first < LMG_COLUMN ? pl->count - first : LMG_COLUMN;
         lmg_ray_columns rays;
         lmg_pixels pixel;
-        for (size_t k = 0; k < n; k++)
-            to_frame(q, pl->origin[first + k], pl->direction[first + k], &rays, k);
+        size_t at[LMG_COLUMN];
+        for (size_t k = 0; k < n; k++, ray = (ray + step) % pl->count) {
+            at[k] = ray;
+            to_frame(q, pl->origin[ray], pl->direction[ray], &rays, k);
+        }
         lmg_pixels_of(q->receivers, q->start, n, &rays, pixel);
         for (size_t k = 0; k < n; k++) {
-            const float w = (float)pl->flux[first + k];
+            const float w = (float)pl->flux[at[k]];
             for (int r = 0; r < LMG_JUDGE_RECEIVERS; r++) {
                 q->whole->change[r][pixel[r][k]] += w;
                 q->whole->squares[r][pixel[r][k]] += w * w;
             }
-            if (all || pl->class[first + k] == c)
-                add_ray(q, first + k, pixel, k);
+            if (all || pl->class[at[k]] == c)
+                add_ray(q, at[k], pixel, k);
         }
     }
     for (int scale = 0; scale < SCALES; scale++)

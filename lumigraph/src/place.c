@@ -7,7 +7,7 @@
 #include "place.h"
 
 typedef struct coordinates {
-    double uvst[4][LMG_COLUMN]; /* NaN where a ray runs against the slab's normal */
+    double uvst[4][LMG_COLUMN]; /* u = -infinity, in no slab, where a ray runs against the slab's normal */
 } coordinates;
 
 /* Of ray i in a slab's frame. */
@@ -17,7 +17,7 @@ static inline lmg_line crossing(const lmg_slab *slab, const lmg_ray_columns *ray
     *d = (lmg_vec3){rays->direction[0][i], rays->direction[1][i], rays->direction[2][i]};
     lmg_line line = {.dn = v_dot(*d, slab->n)};
     lmg_line_crossing(slab, o, *d, &line, u, v);
-    *u = line.dn > 0 ? *u : (double)NAN;
+    *u = line.dn > 0 ? *u : -(double)INFINITY;
     return line;
 }
 

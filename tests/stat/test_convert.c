@@ -12,6 +12,7 @@
 
 #include "bake.h"
 #include "convert.h"
+#include "parallel.h"
 #include "picture_set.h"
 #include "receiver.h"
 #include "stats.h"
@@ -487,7 +488,9 @@ static void goniometer_pictures(void **state)
     assert_true(isnan(info.told));
     near(source->flux, set.flux, 1e-5 * set.flux);
     again = box_of(source, 100000, &report);
-    near(report.flux_out, source->flux, 1e-4 * source->flux);
+    /* deposits are rounded to 2^-20; of pixels across the edge of the bounds, whose places are a thousandth of it wide, some rays pass it by */
+    near(report.flux_out + report.residual, source->flux, 1e-6 * source->flux);
+    near(report.residual, 0, 1e-3 * source->flux);
     /* On the axis of a square of side a and exitance M at height h: E = 4 M/(2 pi) * 2 k/sqrt(1+k^2) atan(k/sqrt(1+k^2)), k = a/(2h) */
     static const double HEIGHTS[3] = {0.5e-3, 1e-3, 2e-3};
     for (int i = 0; i < 3; ++i) {
@@ -649,12 +652,37 @@ static int teardown(void **state)
     return rmdir(folder);
 }
 
+/* A pilot of a file has each of its items once before it has any twice, and its every part is from all over the file: of the first tenth of
+ * the runs half are in the first half, to what the discrepancy of a golden rotation is at most, 1 + ln(n) of n. */
+static void pilots_are_spread(void **state)
+{
+    (void)state;
+    static const uint64_t COUNTS[] = {1, 63, 64, 65, 1000, 64 * 97, 100003, 262144 + 17};
+    for (size_t k = 0; k < sizeof COUNTS / sizeof *COUNTS; k++) {
+        const uint64_t count = COUNTS[k], whole = count < 64 ? count : count / 64 * 64;
+        unsigned char *had = calloc(count, 1);
+        assert_non_null(had);
+        uint64_t low = 0;
+        const uint64_t tenth = whole / 640 * 64;
+        for (uint64_t i = 0; i < whole; i++) {
+            const uint64_t place = bake_pilot_place(i, count, 64, 11);
+            assert_true(place < count);
+            assert_int_equal(had[place]++, 0);
+            low += i < tenth && place < count / 2;
+        }
+        if (tenth > 0)
+            assert_true(fabs((double)low - 0.5 * (double)tenth) <= 64 * (1 + log((double)tenth / 64)));
+        free(had);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(measured_near_field),          cmocka_unit_test(lambertian_square), cmocka_unit_test(half_intensity),
         cmocka_unit_test(sampled_rays_give_the_box_back), cmocka_unit_test(threads),
-        cmocka_unit_test(goniometer_pictures),          cmocka_unit_test(application_distance),
+        cmocka_unit_test(goniometer_pictures),          cmocka_unit_test(pilots_are_spread),
+                 cmocka_unit_test(application_distance),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }
