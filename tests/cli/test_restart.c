@@ -483,10 +483,10 @@ static void test_mpi(void **state)
     EXPECT(finish(start_team((const char *const[]){"missing.gltf", "-o", box.text, NULL})), 3, "missing.gltf");
 
     /* a search for an error, two bakes of it at least, one after the other */
-    o = RUN("bake", globe, "-o", whole.text, "--error", "6%", "--cells", "1e5", "--effects", "all");
+    o = RUN("bake", globe, "-o", whole.text, "--error", "4%", "--cells", "1e5", "--effects", "all");
     assert_true(o.code == 0 && strstr(o.err, "bake 2:"));
     release(&o);
-    o = finish(start_team((const char *const[]){globe, "-o", box.text, "--error", "6%", "--cells", "1e5", "--effects", "all",
+    o = finish(start_team((const char *const[]){globe, "-o", box.text, "--error", "4%", "--cells", "1e5", "--effects", "all",
                                                 "--threads", "1", "-q", NULL}));
     if (o.code != 0)
         fail_msg("exit code %d: %s", o.code, o.err);

@@ -149,7 +149,7 @@ static void smoke(void **state)
 {
     (void)state;
     static const plane P[] = {{{-0.4, -0.3, -0.4}, {0, 0, 0.8}, {0.8, 0, 0}}};
-    compare("smoke-lamp", NULL, 200000, 800000, P, 1);
+    compare("smoke-lamp", NULL, 1000000, 800000, P, 1);
 }
 
 static void phosphor(void **state)
