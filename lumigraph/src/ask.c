@@ -90,11 +90,11 @@ bool lmg_field_enter(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction
  * dE = L cos(receiver) cos(plane) / r^2 du dv over the planes, L smooth within cells.  The plane is cut into rectangles along the
  * borders of (u,v) cells and, of cube slabs, along the lines where the ray to the point passes from one (s,t) cell into the next: s
  * depends on u alone there and t on v alone, so that each rectangle sees one cell, exactly.  All is smooth there and integrated by
- * Gauss' rule of 2 x 2 points on pieces small beside their distance: relative error below 1e-4 for cube slabs.  Of aperture slabs the (s,t)
- * borders are curved: there pieces are also small beside the (s,t) cells as seen from the point, and each is shared among the cells
- * that its lines' (s,t) cover: some 5e-4 (RMS over points before the sample lamps).  Where others own parts of the plane, or lines pass the bounds by, pieces on the border are
- * quartered until it doesn't matter.  So nothing of weight hangs on which side of a border a point falls to: the sum moves as
- * little as what is asked.
+ * Gauss' rule of 2 x 2 points on pieces small beside their distance: relative error below 1e-4 for cube slabs (measured, as the
+ * next).  Of aperture slabs the (s,t) borders are curved: there pieces are also small beside the (s,t) cells as seen from the
+ * point, and each is shared among the cells that its lines' (s,t) cover: some 5e-4 (RMS over points before the sample lamps).
+ * Where others own parts of the plane, or lines pass the bounds by, pieces on the border are quartered until it doesn't matter.
+ * So nothing of weight hangs on which side of a border a point falls to: the sum moves as little as what is asked.
  */
 typedef struct cuts {
     double *x;

@@ -8,9 +8,8 @@
  *
  * By default 2 % of the near field.
  */
+#include "bench_lamp.h"
 #include "target.h"
-
-#include <luminaires/model.h>
 
 #include <math.h>
 #include <stdio.h>
@@ -27,29 +26,6 @@ static const double KNOWN = 0.06;
 /* Rays to judge by: at first, and at most. */
 static const uint64_t FIRST_RAYS = 500000, MOST_RAYS = 16000000;
 
-static void demand(lmg_result r, const lmg_error *err)
-{
-    if (r != LMG_OK) {
-        fprintf(stderr, "error: %s\n", err->message);
-        exit(3);
-    }
-}
-
-static lum_model *load(const char *name)
-{
-    char path[1024];
-    lmg_error err = {{0}};
-    lum_model *model;
-    lum_recipe *recipe = NULL;
-    snprintf(path, sizeof(path), "%s/models/%s/%s.recipe.json", LUMIBOX_BINARY_DIR, name, name);
-    if (access(path, R_OK) == 0)
-        demand(lum_recipe_read(path, &recipe, &err), &err);
-    snprintf(path, sizeof(path), "%s/models/%s/%s.gltf", LUMIBOX_BINARY_DIR, name, name);
-    demand(lum_model_load(path, recipe, &model, &err), &err);
-    lum_recipe_destroy(recipe);
-    return model;
-}
-
 /* The reference and the rays of it, and of each box, that it takes to know an error well. */
 typedef struct reference {
     judge *judge;
@@ -61,24 +37,24 @@ static judge_error true_error(reference *r, const lmg_field *field, judge_measur
     lmg_error err = {{0}};
     judge_verdict v;
     for (int round = 0;; ++round) {
-        demand(judge_box(r->judge, field, r->rays, &v, &err), &err);
+        bench_demand(judge_box(r->judge, field, r->rays, &v, &err), &err);
         const judge_error e = v.error[of];
         /* the standard error of the square goes as 1 / rays where noise rules */
         const double more = fabs(e.rms) * e.standard_error / (KNOWN * asked * asked);
         if (!(more > 1.25) || r->rays >= MOST_RAYS || round == ROUNDS)
             return e;
         r->rays = (uint64_t)fmin((double)r->rays * more, (double)MOST_RAYS);
-        demand(judge_measure_lamp(r->judge, r->rays, &err), &err);
+        bench_demand(judge_measure_lamp(r->judge, r->rays, &err), &err);
     }
 }
 
 static bool try_lamp(const char *name, judge_measure of, double asked, unsigned seeds)
 {
     lmg_error err = {{0}};
-    lum_model *model = load(name);
+    lum_model *model = bench_load(name);
     reference r = {.rays = FIRST_RAYS};
-    demand(judge_create(model, REFERENCE_SEED, 0, 0, &r.judge, &err), &err);
-    demand(judge_measure_lamp(r.judge, r.rays, &err), &err);
+    bench_demand(judge_create(model, REFERENCE_SEED, 0, 0, &r.judge, &err), &err);
+    bench_demand(judge_measure_lamp(r.judge, r.rays, &err), &err);
     unsigned right = 0, within = 0;
     double sum = 0, squares = 0, least = INFINITY, most = 0, photons = 0, bakes = 0;
     const clock_t began = clock();
@@ -88,7 +64,7 @@ static bool try_lamp(const char *name, judge_measure of, double asked, unsigned 
         lmg_field *field;
         bake_report report;
         bake_reached reached;
-        demand(bake_run_to_error(model, &options, &target, &field, &report, &reached, &err), &err);
+        bench_demand(bake_run_to_error(model, &options, &target, &field, &report, &reached, &err), &err);
         const judge_error e = true_error(&r, field, of, asked);
         const double ratio = e.rms / asked;
         right += ratio >= LEAST && ratio <= MOST;

@@ -11,10 +11,9 @@
  *
  *     test_bench_layout [LAMP|all [photons [MB [photons of the judge]]]]        1e6, 1, 4e6
  */
+#include "bench_lamp.h"
 #include "judge.h"
 #include "size.h"
-
-#include <luminaires/model.h>
 
 #include <math.h>
 #include <stdio.h>
@@ -26,29 +25,6 @@ enum { SEED = 5, MEASURES = JUDGE_MEASURES + 1 };
 static const double GOOD[JUDGE_MEASURES] = {0.006, 0.02, 0.3}, TARGET = 1.1;
 /* As many as --size takes at most: gigabytes of memory. */
 static const double MOST_CELLS = 64e6;
-
-static void demand(lmg_result r, const lmg_error *err)
-{
-    if (r != LMG_OK) {
-        fprintf(stderr, "error: %s\n", err->message);
-        exit(3);
-    }
-}
-
-static lum_model *load(const char *name)
-{
-    char path[1024];
-    lmg_error err = {{0}};
-    lum_model *model;
-    lum_recipe *recipe = NULL;
-    snprintf(path, sizeof(path), "%s/models/%s/%s.recipe.json", LUMIBOX_BINARY_DIR, name, name);
-    if (access(path, R_OK) == 0)
-        demand(lum_recipe_read(path, &recipe, &err), &err);
-    snprintf(path, sizeof(path), "%s/models/%s/%s.gltf", LUMIBOX_BINARY_DIR, name, name);
-    demand(lum_model_load(path, recipe, &model, &err), &err);
-    lum_recipe_destroy(recipe);
-    return model;
-}
 
 /* A box: squares of its errors, in units of good ones but for the first three, and their standard errors. */
 typedef struct candidate {
@@ -73,9 +49,9 @@ static candidate try_layout(const lum_model *model, const judge *j, uint64_t ray
     bake_report report;
     judge_verdict v;
     candidate c = {.bytes = 0};
-    demand(bake_run(model, options, &field, &report, &err), &err);
-    demand(bake_size_of(field, &c.bytes, &err), &err);
-    demand(judge_box(j, field, rays, &v, &err), &err);
+    bench_demand(bake_run(model, options, &field, &report, &err), &err);
+    bench_demand(bake_size_of(field, &c.bytes, &err), &err);
+    bench_demand(judge_box(j, field, rays, &v, &err), &err);
     const lmg_layout *layout = lmg_field_layout(field);
     c.cells = cells_of(layout);
     c.widest = layout->slabs[layout->slab_count - 7]; /* before the six that catch what passes beside */
@@ -99,10 +75,10 @@ static bool try_lamp(const char *name, uint64_t photons, double size, uint64_t j
 {
     static const char *const MEASURE[MEASURES] = {"near", "far", "luminance", "together"};
     lmg_error err = {{0}};
-    lum_model *model = load(name);
+    lum_model *model = bench_load(name);
     judge *j;
-    demand(judge_create(model, SEED, 0, 0, &j, &err), &err);
-    demand(judge_measure_lamp(j, judging, &err), &err);
+    bench_demand(judge_create(model, SEED, 0, 0, &j, &err), &err);
+    bench_demand(judge_measure_lamp(j, judging, &err), &err);
     printf("%s, %.3g M photons, %.3g MB at most\n", name, 1e-6 * (double)photons, 1e-6 * size);
     const bake_options plain = {.photons = photons, .seed = SEED};
     bake_options o = plain;

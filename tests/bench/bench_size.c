@@ -7,11 +7,10 @@
  *
  *     test_bench_size [PATTERN]       lamps whose name holds PATTERN
  */
+#include "bench_lamp.h"
 #include "convert.h"
 #include "picture_set.h"
 #include "target.h"
-
-#include <luminaires/model.h>
 
 #include <dirent.h>
 #include <math.h>
@@ -24,32 +23,10 @@
 enum { SEED = 3, JUDGING = 4000000 };
 static char folder[] = "/tmp/lumibox-bench-XXXXXX";
 
-static void die(const lmg_error *err)
-{
-    fprintf(stderr, "error: %s\n", err->message);
-    exit(3);
-}
-
 static uint64_t bytes_of(const char *path)
 {
     struct stat status;
     return stat(path, &status) == 0 ? (uint64_t)status.st_size : 0;
-}
-
-static lum_model *load(const char *name)
-{
-    char path[1024];
-    lmg_error err = {{0}};
-    lum_model *model;
-    lum_recipe *recipe = NULL;
-    snprintf(path, sizeof(path), "%s/models/%s/%s.recipe.json", LUMIBOX_BINARY_DIR, name, name);
-    if (access(path, R_OK) == 0 && lum_recipe_read(path, &recipe, &err) != LMG_OK)
-        die(&err);
-    snprintf(path, sizeof(path), "%s/models/%s/%s.gltf", LUMIBOX_BINARY_DIR, name, name);
-    if (lum_model_load(path, recipe, &model, &err) != LMG_OK)
-        die(&err);
-    lum_recipe_destroy(recipe);
-    return model;
 }
 
 /* Writes a field both ways; gives the rounded one, read back. */
@@ -59,11 +36,10 @@ static lmg_field *both_ways(const lmg_field *field, uint64_t size[2], lmg_roundi
     lmg_error err = {{0}};
     lmg_field *back;
     snprintf(path, sizeof(path), "%s/a.box.exr", folder);
-    if (lmg_field_write(field, path, &err) != LMG_OK)
-        die(&err);
+    bench_demand(lmg_field_write(field, path, &err), &err);
     size[0] = bytes_of(path);
-    if (lmg_field_write_rounded(field, path, BAKE_ROUNDING, lost, &err) != LMG_OK || lmg_field_read(path, &back, &err) != LMG_OK)
-        die(&err);
+    bench_demand(lmg_field_write_rounded(field, path, BAKE_ROUNDING, lost, &err), &err);
+    bench_demand(lmg_field_read(path, &back, &err), &err);
     size[1] = bytes_of(path);
     unlink(path);
     return back;
@@ -81,14 +57,12 @@ static bool box_of(const lum_model *model, judge *j, const char *name, double go
         lmg_field *field;
         bake_report report;
         bake_reached reached;
-        if (bake_run_to_error(model, &options, &target, &field, &report, &reached, &err) != LMG_OK)
-            die(&err);
+        bench_demand(bake_run_to_error(model, &options, &target, &field, &report, &reached, &err), &err);
         uint64_t size[2];
         lmg_rounding lost;
         judge_verdict verdict;
         lmg_field *back = both_ways(field, size, &lost);
-        if (judge_box(j, back, JUDGING, &verdict, &err) != LMG_OK)
-            die(&err);
+        bench_demand(judge_box(j, back, JUDGING, &verdict, &err), &err);
         const judge_error e = verdict.error[JUDGE_NEAR];
         within = 1e-6 * (double)size[1] <= limit && e.rms <= goal;
         printf("%-16s %.0f %%: %6.2f M cells, %7.3g M photons: %7.3f MB to the bit, %6.3f MB rounded (target %g), by %.3f of the noise; error %.2f +- %.2f %% (%.2f at 0.5 sizes)%s\n",
@@ -134,16 +108,15 @@ static void pictures(const lum_model *model)
     bake_picture_set_info info;
     bake_source *source;
     snprintf(path, sizeof(path), "%s/set", folder);
-    if (bake_run(model, &options, &field, &report, &err) != LMG_OK || bake_picture_set_write(field, &how, path, &taken, &err) != LMG_OK ||
-        bake_picture_set_source_create(path, SEED, &source, &info, &err) != LMG_OK)
-        die(&err);
+    bench_demand(bake_run(model, &options, &field, &report, &err), &err);
+    bench_demand(bake_picture_set_write(field, &how, path, &taken, &err), &err);
+    bench_demand(bake_picture_set_source_create(path, SEED, &source, &info, &err), &err);
     for (uint64_t cells = 250000; cells <= 4000000; cells *= 4) {
         const bake_convert_options convert = {.rays = 10000000, .fit = {.cells = cells}};
         bake_conversion done;
         uint64_t size[2];
         lmg_rounding lost;
-        if (bake_convert_to_field(source, &convert, &box, &done, &err) != LMG_OK)
-            die(&err);
+        bench_demand(bake_convert_to_field(source, &convert, &box, &done, &err), &err);
         back = both_ways(box, size, &lost);
         printf("box of the pictures, %.2f M cells: %.1f kB to the bit, %.1f kB rounded by %.3f of the noise of %.0f M rays\n", 1e-6 * (double)cells, 1e-3 * (double)size[0],
                1e-3 * (double)size[1], lost.loss, 1e-6 * (double)done.photons);
@@ -170,10 +143,10 @@ int main(int argc, char **argv)
         if (argc > 1 && !strstr(LAMPS[i], argv[1]))
             continue;
         lmg_error err = {{0}};
-        lum_model *model = load(LAMPS[i]);
+        lum_model *model = bench_load(LAMPS[i]);
         judge *j;
-        if (judge_create(model, SEED + 1, 0, 0, &j, &err) != LMG_OK || judge_measure_lamp(j, JUDGING, &err) != LMG_OK)
-            die(&err);
+        bench_demand(judge_create(model, SEED + 1, 0, 0, &j, &err), &err);
+        bench_demand(judge_measure_lamp(j, JUDGING, &err), &err);
         within &= box_of(model, j, LAMPS[i], 0.03, 1);
         within &= box_of(model, j, LAMPS[i], 0.01, 8);
         if (!strcmp(LAMPS[i], "louvred-panel"))
