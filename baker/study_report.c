@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* The accuracy study as a page: error against time, size and cells; advice; where the time goes. */
-#include "plot.h"
+#include "page.h"
 #include "study.h"
 
 #include <inttypes.h>
@@ -13,7 +13,8 @@ static double seconds_of(const study_rung *r)
 }
 
 /* One curve per measure over x(rung), of one of the ladders. */
-static void add_errors(bake_page *page, const study *s, bool resolution, const bake_axes *axes, double (*x_of)(const study_rung *))
+static void add_errors(report_page *page, const study *s, bool resolution, const report_axes *axes,
+                       double (*x_of)(const study_rung *))
 {
     double x[STUDY_MAX_RUNGS], y[JUDGE_MEASURES][STUDY_MAX_RUNGS], se[JUDGE_MEASURES][STUDY_MAX_RUNGS];
     size_t count = 0;
@@ -28,10 +29,10 @@ static void add_errors(bake_page *page, const study *s, bool resolution, const b
         }
         ++count;
     }
-    bake_curve curves[JUDGE_MEASURES];
+    report_curve curves[JUDGE_MEASURES];
     for (int m = 0; m < JUDGE_MEASURES; ++m)
-        curves[m] = (bake_curve){.name = judge_measure_name((judge_measure)m), .x = x, .y = y[m], .y_se = se[m], .count = count};
-    bake_page_plot(page, axes, curves, JUDGE_MEASURES);
+        curves[m] = (report_curve){.name = judge_measure_name((judge_measure)m), .x = x, .y = y[m], .y_se = se[m], .count = count};
+    report_page_plot(page, axes, curves, JUDGE_MEASURES);
 }
 
 static double cells_of(const study_rung *r)
@@ -50,51 +51,56 @@ static const char *percent(char text[48], judge_error e)
     return text;
 }
 
-static void add_rungs(bake_page *page, const study *s)
+static void add_rungs(report_page *page, const study *s)
 {
-    bake_page_heading(page, "Every bake of the study");
-    bake_page_text(page, "Errors are relative RMS differences from the lamp's own light in %%, the noise of judging taken out; a negative one is all noise. "
-                         "Near: the RMS of five planes at 0.5, 1, 2, 5 and 10 sizes.");
-    bake_page_table(page, "photons\tcells\tseconds\tMB\tnear\t0.5\t1\t2\t5\t10 sizes\tfar field\tluminance\tnoise, by the bake");
+    report_page_heading(page, "Every bake of the study");
+    report_page_text(page, "Errors are relative RMS differences from the lamp's own light in %%, the noise of judging taken out; a "
+                           "negative one is all noise. "
+                           "Near: the RMS of five planes at 0.5, 1, 2, 5 and 10 sizes.");
+    report_page_table(page, "photons\tcells\tseconds\tMB\tnear\t0.5\t1\t2\t5\t10 sizes\tfar field\tluminance\tnoise, by the bake");
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
         char near[48], far[48], luminance[48];
-        bake_page_row(page, "%.3g\t%.3g\t%.3g\t%.3g\t%s\t%.3g\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%s\t%.3g", (double)r->photons, (double)r->cells,
-                      seconds_of(r), megabytes_of(r), percent(near, r->verdict.error[JUDGE_NEAR]), 100 * r->verdict.planes[0].rms, 100 * r->verdict.planes[1].rms,
-                      100 * r->verdict.planes[2].rms, 100 * r->verdict.planes[3].rms, 100 * r->verdict.planes[4].rms, percent(far, r->verdict.error[JUDGE_FAR]),
-                      percent(luminance, r->verdict.error[JUDGE_LUMINANCE]), 100 * r->noise);
+        report_page_row(page, "%.3g\t%.3g\t%.3g\t%.3g\t%s\t%.3g\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%s\t%.3g", (double)r->photons,
+                        (double)r->cells, seconds_of(r), megabytes_of(r), percent(near, r->verdict.error[JUDGE_NEAR]),
+                        100 * r->verdict.planes[0].rms, 100 * r->verdict.planes[1].rms, 100 * r->verdict.planes[2].rms,
+                        100 * r->verdict.planes[3].rms, 100 * r->verdict.planes[4].rms, percent(far, r->verdict.error[JUDGE_FAR]),
+                        percent(luminance, r->verdict.error[JUDGE_LUMINANCE]), 100 * r->noise);
     }
-    bake_page_table_end(page);
+    report_page_table_end(page);
 }
 
-static void add_fits(bake_page *page, const study *s)
+static void add_fits(report_page *page, const study *s)
 {
-    bake_page_table(page, "measure\tslope of log error over log photons\tfloor, %\tnoise of 10\u2076 photons, %\tnoise of the reference, %");
+    report_page_table(
+        page, "measure\tslope of log error over log photons\tfloor, %\tnoise of 10\u2076 photons, %\tnoise of the reference, %");
     for (int m = 0; m < JUDGE_MEASURES; ++m) {
         const study_fit *f = &s->fit[m];
-        bake_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m), f->slope, f->slope_se, 100 * f->floor,
-                      100 * sqrt(f->scale / 1e6), 100 * s->reference_noise[m]);
+        report_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m), f->slope, f->slope_se,
+                        100 * f->floor, 100 * sqrt(f->scale / 1e6), 100 * s->reference_noise[m]);
     }
-    bake_page_table_end(page);
-    bake_page_text(page, "Fit: error\u00b2 = scale / photons + floor\u00b2. The floor is what the cells blur; noise alone has the slope -0.5.");
+    report_page_table_end(page);
+    report_page_text(
+        page,
+        "Fit: error\u00b2 = scale / photons + floor\u00b2. The floor is what the cells blur; noise alone has the slope -0.5.");
 }
 
-static void add_advice(bake_page *page, const study *s, const char *lamp)
+static void add_advice(report_page *page, const study *s, const char *lamp)
 {
-    bake_page_heading(page, "What to run");
-    bake_page_table(page, "near-field error\tcommand\tseconds, about\tMB, about");
+    report_page_heading(page, "What to run");
+    report_page_table(page, "near-field error\tcommand\tseconds, about\tMB, about");
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         const study_advice *a = &s->advice[t];
         if (a->reachable)
-            bake_page_row(page, "%g %%\tlumibake bake %s --photons %.2g --cells %.3g\t%.2g\t%.2g", 100 * a->target, lamp, (double)a->photons,
-                          (double)a->cells, a->seconds, 1e-6 * a->bytes);
+            report_page_row(page, "%g %%\tlumibake bake %s --photons %.2g --cells %.3g\t%.2g\t%.2g", 100 * a->target, lamp,
+                            (double)a->photons, (double)a->cells, a->seconds, 1e-6 * a->bytes);
         else
-            bake_page_row(page, "%g %%\tnot reached by any number of cells tried\t\u2013\t\u2013", 100 * a->target);
+            report_page_row(page, "%g %%\tnot reached by any number of cells tried\t\u2013\t\u2013", 100 * a->target);
     }
-    bake_page_table_end(page);
+    report_page_table_end(page);
 }
 
-static void add_money(bake_page *page, const study *s)
+static void add_money(report_page *page, const study *s)
 {
     const study_rung *top = NULL;
     for (size_t i = 0; i < s->rung_count; ++i)
@@ -103,41 +109,55 @@ static void add_money(bake_page *page, const study *s)
     if (!top)
         return;
     const double all = seconds_of(top), deposit = s->deposit_share * top->trace_seconds;
-    bake_page_heading(page, "Where the time goes");
-    bake_page_text(page, "Of the largest bake of the ladder of photons, %.3g photons in %.3g s.", (double)top->photons, all);
-    bake_page_table(page, "part\tseconds\tshare, %");
-    bake_page_row(page, "pilot and layout\t%.3g\t%.3g", top->pilot_seconds, 100 * top->pilot_seconds / all);
-    bake_page_row(page, "tracing\t%.3g\t%.3g", top->trace_seconds - deposit, 100 * (top->trace_seconds - deposit) / all);
-    bake_page_row(page, "depositing\t%.3g\t%.3g", deposit, 100 * deposit / all);
-    bake_page_row(page, "reconstruction\t%.3g\t%.3g", top->reconstruct_seconds, 100 * top->reconstruct_seconds / all);
-    bake_page_row(page, "writing\t%.3g\t%.3g", top->write_seconds, 100 * top->write_seconds / all);
-    bake_page_table_end(page);
+    report_page_heading(page, "Where the time goes");
+    report_page_text(page, "Of the largest bake of the ladder of photons, %.3g photons in %.3g s.", (double)top->photons, all);
+    report_page_table(page, "part\tseconds\tshare, %");
+    report_page_row(page, "pilot and layout\t%.3g\t%.3g", top->pilot_seconds, 100 * top->pilot_seconds / all);
+    report_page_row(page, "tracing\t%.3g\t%.3g", top->trace_seconds - deposit, 100 * (top->trace_seconds - deposit) / all);
+    report_page_row(page, "depositing\t%.3g\t%.3g", deposit, 100 * deposit / all);
+    report_page_row(page, "reconstruction\t%.3g\t%.3g", top->reconstruct_seconds, 100 * top->reconstruct_seconds / all);
+    report_page_row(page, "writing\t%.3g\t%.3g", top->write_seconds, 100 * top->write_seconds / all);
+    report_page_table_end(page);
 }
 
 lmg_result study_report(const study *s, const char *lamp, const char *path, lmg_error *err)
 {
     char title[160];
     snprintf(title, sizeof(title), "What accuracy costs in time: %.100s", lamp);
-    bake_page *page;
-    lmg_result result = bake_page_create(title, &page, err);
+    report_page *page;
+    lmg_result result = report_page_create(title, &page, err);
     if (result != LMG_OK)
         return result;
-    bake_page_text(page, "Boxes of this lamp, judged by %.3g of its own rays on planes across %+g %+g %+g, far away and in luminance pictures. Size %.4g m.",
-                   (double)s->reference_photons, s->axis.x, s->axis.y, s->axis.z, s->size);
+    report_page_text(page,
+                     "Boxes of this lamp, judged by %.3g of its own rays on planes across %+g %+g %+g, far away and in luminance "
+                     "pictures. Size %.4g m.",
+                     (double)s->reference_photons, s->axis.x, s->axis.y, s->axis.z, s->size);
     add_advice(page, s, lamp);
-    bake_page_heading(page, "Error against time");
+    report_page_heading(page, "Error against time");
     add_errors(page, s, false,
-               &(bake_axes){.title = "Rising numbers of photons, 4 million cells asked for", .x = "seconds, all in", .y = "relative RMS error, %", .log_x = true, .log_y = true},
+               &(report_axes){.title = "Rising numbers of photons, 4 million cells asked for",
+                              .x = "seconds, all in",
+                              .y = "relative RMS error, %",
+                              .log_x = true,
+                              .log_y = true},
                seconds_of);
     add_fits(page, s);
-    bake_page_heading(page, "Error against resolution and size");
+    report_page_heading(page, "Error against resolution and size");
     add_errors(page, s, true,
-               &(bake_axes){.title = "Rising numbers of cells, the same photons", .x = "cells", .y = "relative RMS error, %", .log_x = true, .log_y = true}, cells_of);
-    add_errors(page, s, true,
-               &(bake_axes){.title = "The same, by the size of the file", .x = "MB", .y = "relative RMS error, %", .log_x = true, .log_y = true}, megabytes_of);
+               &(report_axes){.title = "Rising numbers of cells, the same photons",
+                              .x = "cells",
+                              .y = "relative RMS error, %",
+                              .log_x = true,
+                              .log_y = true},
+               cells_of);
+    add_errors(
+        page, s, true,
+        &(report_axes){
+            .title = "The same, by the size of the file", .x = "MB", .y = "relative RMS error, %", .log_x = true, .log_y = true},
+        megabytes_of);
     add_money(page, s);
     add_rungs(page, s);
-    result = bake_page_write(page, path, err);
-    bake_page_destroy(page);
+    result = report_page_write(page, path, err);
+    report_page_destroy(page);
     return result;
 }

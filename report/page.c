@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* HTML pages with plots.  Relies on the program gnuplot (terminal svg) and POSIX processes. */
-#include "plot.h"
+#include "page.h"
 
 #include <errno.h>
 #include <inttypes.h>
@@ -15,7 +15,7 @@
 
 extern char **environ;
 
-struct bake_page {
+struct report_page {
     FILE *to; /* writes into text */
     char *text;
     size_t size;
@@ -62,10 +62,10 @@ static void escape_format(FILE *to, const char *format, va_list arguments)
     escape(to, text);
 }
 
-lmg_result bake_page_create(const char *title, bake_page **out, lmg_error *err)
+lmg_result report_page_create(const char *title, report_page **out, lmg_error *err)
 {
     *out = NULL;
-    bake_page *p = calloc(1, sizeof(*p));
+    report_page *p = calloc(1, sizeof(*p));
     if (p)
         p->to = open_memstream(&p->text, &p->size);
     if (!p || !p->to) {
@@ -81,7 +81,7 @@ lmg_result bake_page_create(const char *title, bake_page **out, lmg_error *err)
     return LMG_OK;
 }
 
-void bake_page_destroy(bake_page *p)
+void report_page_destroy(report_page *p)
 {
     if (!p)
         return;
@@ -91,7 +91,7 @@ void bake_page_destroy(bake_page *p)
     free(p);
 }
 
-void bake_page_heading(bake_page *p, const char *format, ...)
+void report_page_heading(report_page *p, const char *format, ...)
 {
     fputs("<h2>", p->to);
     va_list arguments;
@@ -101,7 +101,7 @@ void bake_page_heading(bake_page *p, const char *format, ...)
     fputs("</h2>\n", p->to);
 }
 
-void bake_page_text(bake_page *p, const char *format, ...)
+void report_page_text(report_page *p, const char *format, ...)
 {
     fputs("<p>", p->to);
     va_list arguments;
@@ -126,7 +126,7 @@ static void cells(FILE *to, const char *tag, char *text)
     fputs("</tr>\n", to);
 }
 
-void bake_page_table(bake_page *p, const char *columns)
+void report_page_table(report_page *p, const char *columns)
 {
     char text[1024];
     snprintf(text, sizeof(text), "%s", columns);
@@ -134,7 +134,7 @@ void bake_page_table(bake_page *p, const char *columns)
     cells(p->to, "th", text);
 }
 
-void bake_page_row(bake_page *p, const char *format, ...)
+void report_page_row(report_page *p, const char *format, ...)
 {
     char text[4096];
     va_list arguments;
@@ -144,7 +144,7 @@ void bake_page_row(bake_page *p, const char *format, ...)
     cells(p->to, "td", text);
 }
 
-void bake_page_table_end(bake_page *p)
+void report_page_table_end(report_page *p)
 {
     fputs("</table>\n", p->to);
 }
@@ -163,7 +163,7 @@ static void quoted(FILE *to, const char *text)
     fputc('"', to);
 }
 
-static FILE *begin_script(bake_page *p, int width, int height)
+static FILE *begin_script(report_page *p, int width, int height)
 {
     if (p->result != LMG_OK)
         return NULL;
@@ -180,7 +180,7 @@ static FILE *begin_script(bake_page *p, int width, int height)
 }
 
 /* Runs gnuplot on the script and takes what it draws into the page; closes the script. */
-static void end_script(bake_page *p, FILE *script)
+static void end_script(report_page *p, FILE *script)
 {
     FILE *drawn = NULL;
     if (fflush(script) == 0 && !ferror(script))
@@ -221,11 +221,11 @@ static void end_script(bake_page *p, FILE *script)
     fclose(script);
 }
 
-static void data_blocks(FILE *to, const bake_curve *curves, size_t count, bool log_x, bool log_y)
+static void data_blocks(FILE *to, const report_curve *curves, size_t count, bool log_x, bool log_y)
 {
     for (size_t i = 0; i < count; ++i) {
         fprintf(to, "$d%zu << END\n", i);
-        const bake_curve *c = &curves[i];
+        const report_curve *c = &curves[i];
         for (size_t k = 0; k < c->count; ++k) {
             const double x = c->x[k], y = c->y[k], se = c->y_se ? c->y_se[k] : 0;
             if (isfinite(x) && isfinite(y) && isfinite(se) && !(log_x && x <= 0) && !(log_y && y <= 0))
@@ -236,7 +236,7 @@ static void data_blocks(FILE *to, const bake_curve *curves, size_t count, bool l
 }
 
 /* Whether gnuplot would find a point of any curve to draw: it treats an empty plot as an error. */
-static bool drawable(const bake_curve *curves, size_t count, bool log_x, bool log_y)
+static bool drawable(const report_curve *curves, size_t count, bool log_x, bool log_y)
 {
     for (size_t i = 0; i < count; ++i)
         for (size_t k = 0; k < curves[i].count; ++k) {
@@ -247,10 +247,10 @@ static bool drawable(const bake_curve *curves, size_t count, bool log_x, bool lo
     return false;
 }
 
-void bake_page_plot(bake_page *p, const bake_axes *axes, const bake_curve *curves, size_t count)
+void report_page_plot(report_page *p, const report_axes *axes, const report_curve *curves, size_t count)
 {
     if (!drawable(curves, count, axes->log_x, axes->log_y)) {
-        bake_page_text(p, "%s: no value to draw.", axes->title);
+        report_page_text(p, "%s: no value to draw.", axes->title);
         return;
     }
     FILE *s = begin_script(p, 760, 420);
@@ -275,10 +275,10 @@ void bake_page_plot(bake_page *p, const bake_axes *axes, const bake_curve *curve
     end_script(p, s);
 }
 
-void bake_page_polar(bake_page *p, const char *title, const bake_curve *curves, size_t count)
+void report_page_polar(report_page *p, const char *title, const report_curve *curves, size_t count)
 {
     if (!drawable(curves, count, false, false)) {
-        bake_page_text(p, "%s: no value to draw.", title);
+        report_page_text(p, "%s: no value to draw.", title);
         return;
     }
     FILE *s = begin_script(p, 480, 480);
@@ -298,11 +298,11 @@ void bake_page_polar(bake_page *p, const char *title, const bake_curve *curves, 
     end_script(p, s);
 }
 
-void bake_page_maps(bake_page *p, const bake_map *maps, size_t count)
+void report_page_maps(report_page *p, const report_map *maps, size_t count)
 {
     fputs("<div class=\"plots\">\n", p->to);
     for (size_t m = 0; m < count; ++m) {
-        const bake_map *map = &maps[m];
+        const report_map *map = &maps[m];
         FILE *s = begin_script(p, 380, 340);
         if (!s)
             break;
@@ -329,7 +329,7 @@ void bake_page_maps(bake_page *p, const bake_map *maps, size_t count)
     fputs("</div>\n", p->to);
 }
 
-lmg_result bake_page_write(bake_page *p, const char *path, lmg_error *err)
+lmg_result report_page_write(report_page *p, const char *path, lmg_error *err)
 {
     if (p->result == LMG_OK && (fputs("</body></html>\n", p->to) < 0 || fflush(p->to) != 0))
         p->result = lmg_fail(&p->error, LMG_ERROR_MEMORY, "no memory for a report");
