@@ -8,12 +8,13 @@
 typedef struct report_slope {
     double slope;
     double standard_error; /* from the residuals */
-    double confidence;     /* the slope is within slope +- confidence at 95 % (Student's t), if the points scatter about a line by chance alone */
+    double confidence;     /* the slope is within slope +- confidence at 95 % (Student's t), if the points scatter about a line by
+                              chance alone */
     size_t points;         /* that the line goes through */
 } report_slope;
 
-/* Least squares of log y over log x, all points alike.  Points count whose x and y are finite and positive; fewer than three of them, or
- * all at one x, make everything but points NAN. */
+/* Least squares of log y over log x, all points alike.  Points count whose x and y are finite and positive; fewer than three of
+ * them, or all at one x, make everything but points NAN. */
 report_slope report_slope_fit(const double *x, const double *y, size_t count);
 
 #endif

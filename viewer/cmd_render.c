@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* lumiview render: options, passes, progress, files.  No physics. */
 #include "cmd_lux.h"
+#include "cmd_scene.h"
 #include "image_io.h"
-#include "lumiview.h"
 #include "render.h"
 #include "tonemap.h"
 
@@ -10,55 +10,24 @@
 #include <getopt.h>
 #include <jansson.h>
 #include <math.h>
-#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 #include <unistd.h>
 
-enum { PATH_SIZE = 1024 };
-
-/* A --light or --lamp with what applies to it. */
-typedef struct placed {
-    bool lamp;
-    char path[PATH_SIZE];
-    view_placement placement;
-    double flux;        /* lm, 0 = as it is */
-    const char *recipe; /* lamps; NULL = the one beside the model if there is one */
-} placed;
-
 typedef struct settings {
-    const char *room, *exr, *png, *camera, *exposure, *eye, *target;
-    const char *recipe; /* of the room; NULL = the one beside it if there is one */
-    placed *things;
-    size_t thing_count;
+    scene_wish scene;
+    const char *exr, *png, *exposure;
     lux_wish *meters;
     size_t meter_count;
-    uint64_t paths;    /* of each meter */
-    const char **sets; /* --set entries, in order, ... */
-    size_t *set_thing; /* ... and what each belongs to: 0 the room, 1 the first of things ... */
-    size_t set_count;
+    uint64_t paths;   /* of each meter */
     uint64_t samples; /* 0 = until the time is over */
     double seconds;   /* 0 = no limit */
-    uint32_t width, height;
-    double fov; /* degrees, 0 = default */
-    uint64_t seed, threads, max_depth;
-    bool json, quiet, verbose;
+    bool json;
 } settings;
 
 static const uint64_t DEFAULT_SAMPLES = 64, DEFAULT_PATHS = 200000;
-
-/* Vertical angle of a camera given by --eye without --fov, degrees. */
-static const double DEFAULT_FOV = 50;
-
-static atomic_int interrupted;
-
-static void on_interrupt(int number)
-{
-    (void)number;
-    atomic_store(&interrupted, 1);
-}
 
 static void print_help(void)
 {
@@ -98,100 +67,30 @@ static void print_help(void)
 
 static int read_options(int argc, char **argv, settings *s)
 {
-    enum {
-        LIGHT = 256,
-        LAMP,
-        RECIPE,
-        SET,
-        FLUX,
-        PNG,
-        LUX,
-        PATHS,
-        SPP,
-        TIME,
-        SIZE,
-        CAMERA,
-        EYE,
-        TARGET,
-        FOV,
-        EXPOSURE,
-        SEED,
-        THREADS,
-        DEPTH,
-        JSON,
-        QUIET
-    };
-    static const struct option OPTIONS[] = {{"light", required_argument, NULL, LIGHT},
-                                            {"lamp", required_argument, NULL, LAMP},
-                                            {"recipe", required_argument, NULL, RECIPE},
-                                            {"set", required_argument, NULL, SET},
-                                            {"flux", required_argument, NULL, FLUX},
+    enum { PNG = 256, LUX, PATHS, SPP, TIME, EXPOSURE, JSON };
+    static const struct option OPTIONS[] = {SCENE_OPTIONS,
                                             {"output", required_argument, NULL, 'o'},
                                             {"png", required_argument, NULL, PNG},
                                             {"lux", required_argument, NULL, LUX},
                                             {"paths", required_argument, NULL, PATHS},
                                             {"spp", required_argument, NULL, SPP},
                                             {"time", required_argument, NULL, TIME},
-                                            {"size", required_argument, NULL, SIZE},
-                                            {"camera", required_argument, NULL, CAMERA},
-                                            {"eye", required_argument, NULL, EYE},
-                                            {"target", required_argument, NULL, TARGET},
-                                            {"fov", required_argument, NULL, FOV},
                                             {"exposure", required_argument, NULL, EXPOSURE},
-                                            {"seed", required_argument, NULL, SEED},
-                                            {"threads", required_argument, NULL, THREADS},
-                                            {"max-depth", required_argument, NULL, DEPTH},
                                             {"json", no_argument, NULL, JSON},
-                                            {"quiet", no_argument, NULL, QUIET},
-                                            {"verbose", no_argument, NULL, 'v'},
-                                            {"help", no_argument, NULL, 'h'},
                                             {NULL, 0, NULL, 0}};
-    *s = (settings){.width = 960, .height = 540, .seed = 1, .max_depth = UINT32_MAX, .exposure = "auto", .paths = DEFAULT_PATHS};
-    s->things = calloc((size_t)argc, sizeof *s->things);
-    s->sets = calloc((size_t)argc, sizeof *s->sets);
-    s->set_thing = calloc((size_t)argc, sizeof *s->set_thing);
+    *s = (settings){.exposure = "auto", .paths = DEFAULT_PATHS};
     s->meters = calloc((size_t)argc, sizeof *s->meters);
-    if (!s->things || !s->meters || !s->sets || !s->set_thing) {
+    if (!scene_wish_create(&s->scene, "render", argc, 960, 540) || !s->meters) {
         say_error("out of memory");
         return EXIT_FAILED;
     }
     opterr = 0;
     optind = 1;
-    lmg_error err;
     int option, which = 0;
     while ((option = getopt_long(argc, argv, ":o:vqh", OPTIONS, &which)) != -1) {
-        placed *last = s->thing_count ? &s->things[s->thing_count - 1] : NULL;
         bool good = true;
         const char *wanted = "";
         switch (option) {
-        case LIGHT:
-        case LAMP:
-            last = &s->things[s->thing_count++];
-            last->lamp = option == LAMP;
-            if (view_placement_parse(optarg, &last->placement, last->path, sizeof last->path, &err) != LMG_OK) {
-                return say_usage("render", "--%s %s", last->lamp ? "lamp" : "light", err.message);
-            }
-            break;
-        case RECIPE:
-            if (last && !last->lamp) {
-                return say_usage("render", "--recipe belongs behind the --lamp that it is for, or for the room before all of them");
-            }
-            *(last ? &last->recipe : &s->recipe) = optarg;
-            break;
-        case SET:
-            if (last && !last->lamp) {
-                return say_usage("render", "--set belongs behind the --lamp that it is for, or for the room before all of them");
-            }
-            s->set_thing[s->set_count] = s->thing_count;
-            s->sets[s->set_count++] = optarg;
-            break;
-        case FLUX:
-            if (!last) {
-                return say_usage("render", "--flux belongs behind the --light or --lamp that it is for");
-            }
-            good = read_positive(optarg, "lm", &last->flux);
-            wanted = "lumens, more than 0";
-            break;
         case 'o':
             s->exr = optarg;
             break;
@@ -214,47 +113,11 @@ static int read_options(int argc, char **argv, settings *s)
             good = read_seconds(optarg, &s->seconds);
             wanted = "a time such as 60s, 5min or 1h";
             break;
-        case SIZE:
-            good = read_size(optarg, VIEW_MAX_SIDE, &s->width, &s->height);
-            wanted = "WIDTHxHEIGHT in pixels, 1 to 16384 each";
-            break;
-        case CAMERA:
-            s->camera = optarg;
-            break;
-        case EYE:
-            s->eye = optarg;
-            break;
-        case TARGET:
-            s->target = optarg;
-            break;
-        case FOV:
-            good = read_positive(optarg, "", &s->fov) && s->fov < 180;
-            wanted = "degrees between 0 and 180";
-            break;
         case EXPOSURE:
             s->exposure = optarg;
             break;
-        case SEED:
-            good = read_count(optarg, UINT64_MAX, &s->seed);
-            wanted = "a whole number";
-            break;
-        case THREADS:
-            good = read_count(optarg, 1024, &s->threads);
-            wanted = "a whole number up to 1024";
-            break;
-        case DEPTH:
-            good = read_count(optarg, UINT32_MAX, &s->max_depth);
-            wanted = "a whole number";
-            break;
         case JSON:
             s->json = true;
-            break;
-        case QUIET:
-        case 'q':
-            s->quiet = true;
-            break;
-        case 'v':
-            s->verbose = true;
             break;
         case 'h':
             print_help();
@@ -262,116 +125,33 @@ static int read_options(int argc, char **argv, settings *s)
         case ':':
             return say_usage("render", "%s needs a value", argv[optind - 1]);
         default:
-            return say_usage("render", "there is no option %s", argv[optind - 1]);
+            switch (scene_option(&s->scene, option, optarg, &wanted)) {
+            case SCENE_TAKEN:
+                break;
+            case SCENE_NOT_MINE:
+                return say_usage("render", "there is no option %s", argv[optind - 1]);
+            case SCENE_BAD:
+                good = false;
+                break;
+            case SCENE_SAID:
+                return EXIT_USAGE;
+            }
         }
         if (!good) {
             return say_usage("render", "--%s %s: should be %s", OPTIONS[which].name, optarg, wanted);
         }
     }
-    if (optind + 1 != argc) {
-        return optind == argc ? say_usage("render", "which room? Name a .gltf or .glb file")
-                              : say_usage("render", "one room at a time: what is \"%s\"?", argv[optind + 1]);
+    int code = scene_finish(&s->scene, argc, argv, optind);
+    if (code != EXIT_DONE) {
+        return code;
     }
-    s->room = argv[optind];
     if (!s->exr && !s->png && !s->meter_count) {
         return say_usage("render", "where should the picture go? Use -o FILE.exr, --png FILE.png or both (or measure with --lux)");
-    }
-    if ((s->eye != NULL) != (s->target != NULL) || (s->fov > 0 && !s->eye) || (s->camera && s->eye)) {
-        return say_usage("render", "a camera is either --camera NAME, or --eye and --target (and --fov) together");
     }
     if (!s->samples && !(s->seconds > 0)) {
         s->samples = DEFAULT_SAMPLES;
     }
     return EXIT_DONE;
-}
-
-/* ------------------------------------------------------------------------------------------------------------- loading */
-
-/* The recipe beside LAMP.gltf, LAMP.recipe.json; false if there is none. */
-static bool recipe_beside(const char *lamp, char path[PATH_SIZE + 16])
-{
-    snprintf(path, PATH_SIZE, "%s", lamp);
-    char *slash = strrchr(path, '/'), *dot = strrchr(path, '.');
-    if (dot && (!slash || dot > slash)) {
-        *dot = '\0';
-    }
-    strcat(path, ".recipe.json");
-    return access(path, F_OK) == 0;
-}
-
-static void print_warnings(const lum_model *model)
-{
-    for (uint32_t i = 0; i < model->warning_count; i++) {
-        fprintf(stderr, "warning: %s\n", model->warnings[i]);
-    }
-}
-
-/* The recipe of a model: a file, or the one beside the model, and what --set adds; thing: 0 the room, 1 the first of things. */
-static lmg_result make_recipe(const settings *s, const char *model, const char *path, size_t thing, lum_recipe **out,
-                              lmg_error *err)
-{
-    char beside[PATH_SIZE + 16];
-    if (!path && recipe_beside(model, beside)) {
-        path = beside;
-    }
-    lmg_result r = path ? lum_recipe_read(path, out, err) : lum_recipe_create(out, err);
-    for (size_t i = 0; i < s->set_count && r == LMG_OK; i++) {
-        if (s->set_thing[i] == thing) {
-            r = lum_recipe_add(*out, s->sets[i], err);
-        }
-    }
-    return r;
-}
-
-static lmg_result add_lamp(view_scene *scene, size_t index, const settings *s, lmg_error *err)
-{
-    const placed *thing = &s->things[index];
-    lum_recipe *recipe = NULL;
-    lmg_result r = make_recipe(s, thing->path, thing->recipe, index + 1, &recipe, err);
-    if (r == LMG_OK) {
-        r = view_scene_add_lamp(scene, thing->path, recipe, &thing->placement, thing->flux, err);
-    }
-    lum_recipe_destroy(recipe);
-    if (r == LMG_OK && !s->quiet) {
-        print_warnings(scene->objects[scene->object_count - 1].model);
-    }
-    return r;
-}
-
-static lmg_result load(const settings *s, view_scene **out, lmg_error *err)
-{
-    lum_recipe *recipe = NULL;
-    lmg_result r = make_recipe(s, s->room, s->recipe, 0, &recipe, err);
-    if (r == LMG_OK) {
-        r = view_scene_create(s->room, recipe, out, err);
-    }
-    lum_recipe_destroy(recipe);
-    if (r == LMG_OK && s->verbose) {
-        print_warnings((*out)->objects[0].model);
-    }
-    for (size_t i = 0; i < s->thing_count && r == LMG_OK; i++) {
-        const placed *thing = &s->things[i];
-        r = thing->lamp ? add_lamp(*out, i, s, err) : view_scene_add_box(*out, thing->path, &thing->placement, thing->flux, err);
-    }
-    return r == LMG_OK ? view_scene_finish(*out, err) : r;
-}
-
-static lmg_result choose_camera(const settings *s, const view_scene *scene, view_camera *camera, lmg_error *err)
-{
-    if (s->eye) {
-        double eye[3], target[3];
-        if (!view_parse_numbers(s->eye, eye, 3) || !view_parse_numbers(s->target, target, 3)) {
-            return lmg_fail(err, LMG_ERROR_ARGUMENT, "--eye %s --target %s: each should be X,Y,Z in metres", s->eye, s->target);
-        }
-        lmg_vec3 from = view_sub((lmg_vec3){eye[0], eye[1], eye[2]}, scene->origin);
-        lmg_vec3 to = view_sub((lmg_vec3){target[0], target[1], target[2]}, scene->origin);
-        double fov = (s->fov > 0 ? s->fov : DEFAULT_FOV) * VIEW_PI / 180;
-        return view_camera_set(camera, from, view_sub(to, from), (lmg_vec3){0, 1, 0}, fov, err);
-    }
-    if (s->camera || scene->objects[0].model->camera_count) {
-        return view_camera_from_room(scene, s->camera, camera, err);
-    }
-    return view_camera_frame(scene, s->width / (double)s->height, camera, err);
 }
 
 /* Mid-grey luminance from --exposure, known before rendering; 0 = auto. */
@@ -429,13 +209,13 @@ static void print_progress(const settings *s, const view_render *render, double 
 }
 
 /* Passes until the samples are there, the time is over, or somebody interrupts. */
-static lmg_result run_passes(const settings *s, view_render *render, lmg_error *err)
+static lmg_result run_passes(const settings *s, view_render *render, const atomic_int *stop, lmg_error *err)
 {
-    bool show = !s->quiet && isatty(STDERR_FILENO);
+    bool show = !s->scene.quiet && isatty(STDERR_FILENO);
     double begin = now();
     uint64_t done = 0;
     lmg_result r = LMG_OK;
-    while (r == LMG_OK && !atomic_load(&interrupted)) {
+    while (r == LMG_OK && !scene_interrupted()) {
         double elapsed = now() - begin, per_sample = done ? elapsed / (double)done : 0;
         double left = s->seconds > 0 ? s->seconds - elapsed : (double)INFINITY;
         if ((s->samples && done >= s->samples) || (done && left < per_sample)) {
@@ -446,9 +226,9 @@ static lmg_result run_passes(const settings *s, view_render *render, lmg_error *
         if (s->samples) {
             pass = fmin(pass, (double)(s->samples - done));
         }
-        r = view_render_pass(render, (uint32_t)pass, &interrupted, err);
+        r = view_render_pass(render, (uint32_t)pass, stop, err);
         done += (uint64_t)pass;
-        if (show && !atomic_load(&interrupted)) {
+        if (show && !scene_interrupted()) {
             print_progress(s, render, now() - begin);
         }
     }
@@ -496,11 +276,12 @@ static void print_result(const settings *s, const view_render_state *state, doub
 {
     double rate = (double)state->rays / fmax(state->seconds, 1e-9);
     if (s->json) {
-        json_t *o = json_pack(
-            "{s:i, s:s, s:i, s:i, s:i, s:f, s:I, s:f, s:I, s:f, s:f, s:f, s:I}", "version", 1, "command", "render", "width",
-            (int)s->width, "height", (int)s->height, "samples_per_pixel", (int)state->samples_min, "seconds", state->seconds,
-            "rays", (json_int_t)state->rays, "rays_per_second", rate, "refused", (json_int_t)state->refused, "mean_luminance_cd_m2",
-            state->mean, "mid_grey_cd_m2", mid_grey, "exposure_value", view_exposure_to_ev(mid_grey), "seed", (json_int_t)s->seed);
+        json_t *o =
+            json_pack("{s:i, s:s, s:i, s:i, s:i, s:f, s:I, s:f, s:I, s:f, s:f, s:f, s:I}", "version", 1, "command", "render",
+                      "width", (int)s->scene.width, "height", (int)s->scene.height, "samples_per_pixel", (int)state->samples_min,
+                      "seconds", state->seconds, "rays", (json_int_t)state->rays, "rays_per_second", rate, "refused",
+                      (json_int_t)state->refused, "mean_luminance_cd_m2", state->mean, "mid_grey_cd_m2", mid_grey, "exposure_value",
+                      view_exposure_to_ev(mid_grey), "seed", (json_int_t)s->scene.seed);
         if (o) {
             json_object_set_new(o, "noise", isfinite(state->noise) ? json_real(state->noise) : json_null());
             json_object_set_new(o, "mean_standard_error_bake_cd_m2", json_real(state->mean_bake));
@@ -515,11 +296,11 @@ static void print_result(const settings *s, const view_render_state *state, doub
         }
         return;
     }
-    if (s->quiet) {
+    if (s->scene.quiet) {
         return;
     }
-    printf("%s: %u x %u pixels, %u samples per pixel in %.1f s", s->exr ? s->exr : s->png, s->width, s->height, state->samples_min,
-           state->seconds);
+    printf("%s: %u x %u pixels, %u samples per pixel in %.1f s", s->exr ? s->exr : s->png, s->scene.width, s->scene.height,
+           state->samples_min, state->seconds);
     if (isfinite(state->noise)) {
         printf(", noise %.2g %%", 100 * state->noise);
     }
@@ -528,36 +309,17 @@ static void print_result(const settings *s, const view_render_state *state, doub
         printf(" +- %.2g %% bake +- %.2g %% render", 100 * state->mean_bake / state->mean, 100 * state->mean_render / state->mean);
     }
     printf("; mid-grey at %.4g cd/m2 (EV %.1f)\n", mid_grey, view_exposure_to_ev(mid_grey));
-    if (s->verbose) {
+    if (s->scene.verbose) {
         fprintf(stderr, "%.3g rays, %.2f Mrays/s, %llu paths refused as not finite, paths from boxes for %.0f %% of the samples\n",
                 (double)state->rays, rate * 1e-6, (unsigned long long)state->refused, 100 * connect);
     }
-}
-
-/* Whether a file can be made where the picture is to go: better known before the rendering than after. */
-static lmg_result check_place(const char *path, lmg_error *err)
-{
-    char folder[PATH_SIZE];
-    const char *slash = path ? strrchr(path, '/') : NULL;
-    size_t length = slash ? (size_t)(slash - path) : 0;
-    if (!path) {
-        return LMG_OK;
-    }
-    if (length >= sizeof folder || !*path || path[strlen(path) - 1] == '/') {
-        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: isn't the name of a file", path);
-    }
-    snprintf(folder, sizeof folder, "%.*s", slash ? (int)(length ? length : 1) : 1, slash ? path : ".");
-    if (access(folder, W_OK | X_OK) != 0) {
-        return lmg_fail(err, LMG_ERROR_FILE_WRITE, "%s: can't write there: %s", path, strerror(errno));
-    }
-    return LMG_OK;
 }
 
 static lmg_result write_files(const settings *s, const view_render *render, const view_render_state *state, double *mid_grey,
                               const char *command, lmg_error *err)
 {
     view_image image;
-    lmg_result r = view_image_create(s->width, s->height, &image, err);
+    lmg_result r = view_image_create(s->scene.width, s->scene.height, &image, err);
     if (r != LMG_OK) {
         return r;
     }
@@ -566,15 +328,18 @@ static lmg_result write_files(const settings *s, const view_render *render, cons
         *mid_grey = view_exposure_auto(&image);
     }
     if (s->exr) {
-        view_image_notes notes = {
-            .samples = state->samples_min, .seconds = state->seconds, .seed = s->seed, .mid_grey = *mid_grey, .command = command};
+        view_image_notes notes = {.samples = state->samples_min,
+                                  .seconds = state->seconds,
+                                  .seed = s->scene.seed,
+                                  .mid_grey = *mid_grey,
+                                  .command = command};
         r = view_write_exr(&image, &notes, s->exr, err);
     }
     if (r == LMG_OK && s->png) {
-        uint8_t *bytes = malloc(3 * (size_t)s->width * s->height);
+        uint8_t *bytes = malloc(3 * (size_t)s->scene.width * s->scene.height);
         if (bytes) {
             view_tonemap(&image, *mid_grey, bytes);
-            r = view_write_png(bytes, s->width, s->height, s->png, err);
+            r = view_write_png(bytes, s->scene.width, s->scene.height, s->png, err);
             free(bytes);
         } else {
             r = lmg_fail(err, LMG_ERROR_MEMORY, "out of memory for %s", s->png);
@@ -584,35 +349,6 @@ static lmg_result write_files(const settings *s, const view_render *render, cons
     return r;
 }
 
-static void warn_about_scene(const settings *s, const view_scene *scene)
-{
-    if (s->quiet) {
-        return;
-    }
-    if (!scene->light_count) {
-        fprintf(stderr, "warning: %s: nothing shines in this scene; add --light BOX@X,Y,Z or --lamp LAMP.gltf@X,Y,Z\n", s->room);
-    }
-    for (uint32_t i = 0; i < scene->object_count; i++) {
-        const view_object *object = &scene->objects[i];
-        if (object->unseen) {
-            fprintf(stderr,
-                    "warning: %s: light of \"%.60s\", which has no size, by way of mirrors and clear glass isn't in the picture; "
-                    "bake the lamp and use its box, or make an emitter of a surface\n",
-                    object->model->path, object->unseen);
-        }
-    }
-}
-
-static void warn_about_eye(const settings *s, const view_scene *scene, const view_camera *camera)
-{
-    for (uint32_t i = 0; i < scene->box_count && !s->quiet; i++) {
-        if (view_box_inside(&scene->boxes[i], camera->eye)) {
-            fprintf(stderr, "warning: %s: the camera is inside the bounds of this box and sees none of its light from there\n",
-                    scene->boxes[i].path);
-        }
-    }
-}
-
 /* The picture, from camera to files. */
 static lmg_result make_picture(const settings *s, const view_scene *scene, const char *command, json_t *meters, lmg_error *err)
 {
@@ -620,29 +356,25 @@ static lmg_result make_picture(const settings *s, const view_scene *scene, const
     view_camera camera;
     double mid_grey = 0;
     lmg_result r = read_exposure(s->exposure, &mid_grey, err);
-    r = r ? r : choose_camera(s, scene, &camera, err);
+    r = r ? r : scene_camera(&s->scene, scene, &camera, err);
     if (r == LMG_OK) {
-        warn_about_eye(s, scene, &camera);
-        view_render_options options = {.width = s->width,
-                                       .height = s->height,
-                                       .seed = s->seed,
-                                       .threads = (unsigned)s->threads,
-                                       .path = {.max_depth = (uint32_t)s->max_depth}};
+        scene_warn_eye(&s->scene, scene, &camera);
+        view_render_options options = {.width = s->scene.width,
+                                       .height = s->scene.height,
+                                       .seed = s->scene.seed,
+                                       .threads = (unsigned)s->scene.threads,
+                                       .path = {.max_depth = (uint32_t)s->scene.max_depth}};
         r = view_render_create(scene, &camera, &options, &render, err);
     }
     if (r == LMG_OK) {
-        struct sigaction action = {.sa_handler = on_interrupt};
-        action.sa_flags = (int)SA_RESETHAND; /* a second Ctrl-C ends the program at once */
-        sigaction(SIGINT, &action, NULL);
-        sigaction(SIGTERM, &action, NULL);
-        r = run_passes(s, render, err);
+        r = run_passes(s, render, scene_catch_interrupts(), err);
     }
     if (r == LMG_OK) {
         view_render_state state = view_render_look(render);
         r = write_files(s, render, &state, &mid_grey, command, err);
         if (r == LMG_OK) {
             print_result(s, &state, mid_grey, scene->connect, meters);
-            if (state.refused && !s->quiet) {
+            if (state.refused && !s->scene.quiet) {
                 fprintf(stderr, "warning: %llu paths gave no finite number and count as dark\n", (unsigned long long)state.refused);
             }
         }
@@ -660,20 +392,22 @@ static int render_scene(const settings *s, int argc, char **argv)
     char *command = command_line(argc, argv);
     json_t *meters = s->json ? json_array() : NULL;
     lmg_result r = read_exposure(s->exposure, &unused, &err);
-    r = r ? r : check_place(s->exr, &err);
-    r = r ? r : check_place(s->png, &err);
-    r = r ? r : load(s, &scene, &err);
+    r = r ? r : scene_check_place(s->exr, &err);
+    r = r ? r : scene_check_place(s->png, &err);
+    r = r ? r : scene_load(&s->scene, SCENE_BOXES | SCENE_LAMPS, &scene, &err);
     if (r == LMG_OK) {
-        warn_about_scene(s, scene);
-        const view_meter_options options = {
-            .samples = s->paths, .seed = s->seed, .threads = (unsigned)s->threads, .path = {.max_depth = (uint32_t)s->max_depth}};
-        r = lux_measure(scene, s->meters, s->meter_count, &options, s->quiet, meters, &err);
+        scene_warn(&s->scene, scene);
+        const view_meter_options options = {.samples = s->paths,
+                                            .seed = s->scene.seed,
+                                            .threads = (unsigned)s->scene.threads,
+                                            .path = {.max_depth = (uint32_t)s->scene.max_depth}};
+        r = lux_measure(scene, s->meters, s->meter_count, &options, s->scene.quiet, meters, &err);
     }
     if (r == LMG_OK && picture) {
         r = make_picture(s, scene, command, meters, &err);
     } else if (r == LMG_OK && meters) {
-        json_t *o =
-            json_pack("{s:i, s:s, s:O, s:I}", "version", 1, "command", "render", "meters", meters, "seed", (json_int_t)s->seed);
+        json_t *o = json_pack("{s:i, s:s, s:O, s:I}", "version", 1, "command", "render", "meters", meters, "seed",
+                              (json_int_t)s->scene.seed);
         json_dumpf(o, stdout, JSON_INDENT(2) | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(9));
         putchar('\n');
         json_decref(o);
@@ -681,7 +415,7 @@ static int render_scene(const settings *s, int argc, char **argv)
     int code = EXIT_DONE;
     if (r != LMG_OK) {
         code = say_result(r, &err);
-    } else if (atomic_load(&interrupted)) {
+    } else if (scene_interrupted()) {
         code = EXIT_INTERRUPTED;
     }
     json_decref(meters);
@@ -699,9 +433,7 @@ int cmd_render(int argc, char **argv)
     } else if (code < 0) {
         code = EXIT_DONE; /* --help */
     }
-    free(s.things);
-    free(s.sets);
-    free(s.set_thing);
+    scene_wish_free(&s.scene);
     free(s.meters);
     return code;
 }

@@ -111,6 +111,7 @@ static void print_help(void)
          "\n"
          "  lumiview render ROOM.gltf --light LAMP.box.exr@X,Y,Z --png room.png   a picture of a room\n"
          "  lumiview diff A.exr B.exr --png diff.png                              how two pictures differ\n"
+         "  lumiview study ROOM.gltf --light BOX@X,Y,Z --lamp LAMP.gltf@X,Y,Z     what accuracy costs in time, box and geometry\n"
          "  lumiview --version\n"
          "\n"
          "lumiview COMMAND --help says more.\n"
@@ -126,6 +127,9 @@ int main(int argc, char **argv)
     if (strcmp(command, "diff") == 0) {
         return cmd_diff(argc - 1, argv + 1);
     }
+    if (strcmp(command, "study") == 0) {
+        return cmd_study(argc - 1, argv + 1);
+    }
     if (strcmp(command, "--help") == 0 || strcmp(command, "-h") == 0 || strcmp(command, "help") == 0) {
         print_help();
         return EXIT_DONE;
@@ -136,9 +140,9 @@ int main(int argc, char **argv)
         return EXIT_DONE;
     }
     if (argc > 1) {
-        say_error("there is no command \"%s\"; the commands are render and diff (see lumiview --help)", command);
+        say_error("there is no command \"%s\"; the commands are render, diff and study (see lumiview --help)", command);
     } else {
-        say_error("which command? render or diff (see lumiview --help)");
+        say_error("which command? render, diff or study (see lumiview --help)");
     }
     return EXIT_USAGE;
 }

@@ -9,6 +9,7 @@ enum { EXIT_DONE = 0, EXIT_FAILED = 1, EXIT_USAGE = 2, EXIT_INPUT = 3, EXIT_INTE
 
 int cmd_render(int argc, char **argv);
 int cmd_diff(int argc, char **argv);
+int cmd_study(int argc, char **argv);
 
 /* One line "error: ..." on stderr. */
 void say_error(const char *format, ...) __attribute__((format(printf, 1, 2)));

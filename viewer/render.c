@@ -59,7 +59,7 @@ struct view_render {
     double deviation[2][VIEW_BAKES]; /* of even and odd pixels' samples that follow the boxes' errors; the order of adding them up
                                         isn't fixed, and rounding is all that may differ */
     uint64_t followed[2];
-    double seconds;
+    double seconds, processor_seconds;
     /* of the pass under way */
     atomic_uint next_tile;
     const atomic_int *stop;
@@ -167,10 +167,16 @@ static void *run_tiles(void *argument)
     return NULL;
 }
 
+static double clock_seconds(clockid_t clock)
+{
+    struct timespec t;
+    clock_gettime(clock, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
 lmg_result view_render_pass(view_render *render, uint32_t samples, const atomic_int *stop, lmg_error *err)
 {
-    struct timespec begin, end;
-    clock_gettime(CLOCK_MONOTONIC, &begin);
+    const double begin = clock_seconds(CLOCK_MONOTONIC), processor_begin = clock_seconds(CLOCK_PROCESS_CPUTIME_ID);
     unsigned threads = render->options.threads;
     size_t lights = render->scene->light_count ? render->scene->light_count : 1;
     thread_task *tasks = calloc(threads, sizeof *tasks);
@@ -211,8 +217,8 @@ lmg_result view_render_pass(view_render *render, uint32_t samples, const atomic_
     }
     free(tasks);
     free(weights);
-    clock_gettime(CLOCK_MONOTONIC, &end);
-    render->seconds += (double)(end.tv_sec - begin.tv_sec) + 1e-9 * (double)(end.tv_nsec - begin.tv_nsec);
+    render->seconds += clock_seconds(CLOCK_MONOTONIC) - begin;
+    render->processor_seconds += clock_seconds(CLOCK_PROCESS_CPUTIME_ID) - processor_begin;
     return LMG_OK;
 }
 
@@ -272,8 +278,11 @@ static double mean_bake_error(const view_render *render)
 
 view_render_state view_render_look(const view_render *render)
 {
-    view_render_state state = {
-        .samples_min = UINT32_MAX, .rays = render->rays, .refused = render->refused, .seconds = render->seconds};
+    view_render_state state = {.samples_min = UINT32_MAX,
+                               .rays = render->rays,
+                               .refused = render->refused,
+                               .seconds = render->seconds,
+                               .processor_seconds = render->processor_seconds};
     size_t count = (size_t)render->options.width * render->options.height;
     for (size_t i = 0; i < count; i++) {
         const view_pixel *p = &render->pixels[i];

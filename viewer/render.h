@@ -48,6 +48,7 @@ typedef struct view_render_state {
     uint64_t rays;                     /* closest-hit and shadow rays traced */
     uint64_t refused;                  /* paths whose estimate wasn't finite, counted as zero; 0 in a sound scene */
     double seconds;                    /* wall clock spent in passes */
+    double processor_seconds;          /* the process's time on processors meanwhile, all threads together */
     double
         noise;   /* typical relative standard error of a pixel: median over blocks; NAN before the second sample or without light */
     double mean;                   /* mean luminance, cd/m2, */

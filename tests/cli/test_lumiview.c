@@ -233,6 +233,134 @@ static void measures_illuminance(void **state)
     json_decref(o);
 }
 
+/* ---------------------------------------------------------------------------------------------------------------- study */
+
+static double number_at(json_t *o, const char *outer, const char *key)
+{
+    json_t *value = json_object_get(outer ? json_object_get(o, outer) : o, key);
+    assert_true(json_is_number(value));
+    return json_number_value(value);
+}
+
+static json_t *study_of(const char *more)
+{
+    char line[512];
+    json_error_t where;
+    snprintf(line, sizeof line,
+             "study room.gltf --light lamp@1,2.box.exr@0,2.4,0.1,30 --lamp lamp.gltf@0,2.4,0.1,30 --flux 1005.31lm --size 48x36 "
+             "--block 6 --runs 5 --spp 32 --json %s",
+             more);
+    assert_int_equal(run(line), 0);
+    assert_string_equal(err_text, "");
+    json_t *o = json_loads(out_text, 0, &where);
+    assert_non_null(o);
+    return o;
+}
+
+static int compare_seeds(const void *a, const void *b)
+{
+    const json_int_t x = *(const json_int_t *)a, y = *(const json_int_t *)b;
+    return (x > y) - (x < y);
+}
+
+/* Errors of a panel's light, which both ways find easily: they fall as the root of the samples, within the confidence that is told
+ * with the slope; the reference has seeds of its own and the noise that so many samples have; page and JSON are there. */
+static void studies_a_room(void **state)
+{
+    (void)state;
+    static const char *const METHODS[2] = {"box", "geometry"};
+    json_t *o = study_of("-o study.html");
+    json_t *reference = json_object_get(o, "reference"), *all[2];
+    json_int_t seeds[2 + 2 * 6 * 5];
+    size_t seed_count = 0, i;
+    json_t *value;
+    json_array_foreach(json_object_get(reference, "seeds"), i, value)
+    {
+        seeds[seed_count++] = json_integer_value(value);
+    }
+    assert_int_equal(seed_count, 2);
+    for (int m = 0; m < 2; m++) {
+        json_t *rungs = json_object_get(json_object_get(o, METHODS[m]), "rungs"),
+               *slope = json_object_get(json_object_get(o, METHODS[m]), "over_samples");
+        assert_int_equal(json_array_size(rungs), 6);
+        for (size_t k = 0; k < 6; k++) {
+            json_t *r = json_array_get(rungs, k);
+            assert_int_equal((int)number_at(r, NULL, "samples_per_pixel"), 1 << k);
+            assert_true(number_at(r, NULL, "processor_s") > 0 && number_at(r, NULL, "standard_error") > 0);
+            json_array_foreach(json_object_get(r, "seeds"), i, value)
+            {
+                assert_true(seed_count < sizeof seeds / sizeof seeds[0]);
+                seeds[seed_count++] = json_integer_value(value);
+            }
+        }
+        const double first = number_at(json_array_get(rungs, 0), NULL, "rms"),
+                     last = number_at(json_array_get(rungs, 5), NULL, "rms");
+        const double told = number_at(slope, NULL, "slope"), confidence = number_at(slope, NULL, "confidence_95");
+        print_message("%s: %.3g to %.3g %%, slope %.3f +- %.3f\n", METHODS[m], 100 * first, 100 * last, told, confidence);
+        assert_true(last < first / 3); /* sqrt(32) is 5.7 */
+        assert_true(confidence < 0.15);
+        /* Of the geometry's errors the box's part is no noise, so that only the box's must have the slope of noise. */
+        assert_true(m == 1 || fabs(told + 0.5) <= confidence);
+        all[m] = rungs;
+    }
+    assert_int_equal(seed_count, sizeof seeds / sizeof seeds[0]);
+    qsort(seeds, seed_count, sizeof seeds[0], compare_seeds);
+    for (i = 1; i < seed_count; i++) {
+        assert_true(seeds[i - 1] != seeds[i]);
+    }
+    /* 32 times the samples of the highest rung: the root of that less noise, which halves tell on 48 blocks to a tenth. */
+    assert_int_equal((int)number_at(reference, NULL, "samples_per_pixel"), 32 * 32);
+    const double ratio = number_at(json_array_get(all[0], 5), NULL, "rms") / number_at(reference, NULL, "noise");
+    assert_true(ratio > 5.66 / 1.6 && ratio < 5.66 * 1.6);
+    /* The box is the panel's light to a few per mille; nothing that is hard to find makes either the slower one by far. */
+    const double difference = number_at(o, "difference_of_converged_pictures", "rms"),
+                 time = number_at(o, "time_ratio_at_equal_error", "mean");
+    print_message("difference %.3g %%, time ratio %.3g\n", 100 * difference, time);
+    assert_true(fabs(difference) < 0.03 && time > 0.1 && time < 10);
+
+    static char page[1 << 20];
+    load("study.html", page, sizeof page);
+    const char *plot = strstr(page, "<svg");
+    assert_true(plot && strstr(plot + 1, "<svg") && strstr(page, "Time at equal error") && strstr(page, "</html>"));
+
+    /* The seed decides, the number of threads doesn't. */
+    json_t *again = study_of("--threads 1"), *other = study_of("--seed 2");
+    for (int m = 0; m < 2; m++) {
+        for (size_t k = 0; k < 6; k++) {
+            json_t *squares = json_object_get(json_array_get(all[m], k), "squared_errors");
+            json_t *same = json_array_get(json_object_get(json_object_get(again, METHODS[m]), "rungs"), k);
+            json_t *new = json_array_get(json_object_get(json_object_get(other, METHODS[m]), "rungs"), k);
+            assert_true(json_equal(squares, json_object_get(same, "squared_errors")));
+            assert_false(json_equal(squares, json_object_get(new, "squared_errors")));
+        }
+    }
+    json_decref(o);
+    json_decref(again);
+    json_decref(other);
+
+    /* By time, as text. */
+    assert_int_equal(
+        run("study room.gltf --light lamp@1,2.box.exr@0,2.4,0.1,30 --lamp lamp.gltf@0,2.4,0.1,30 --size 32x24 --time 2s"), 0);
+    assert_non_null(strstr(out_text, "time of geometry over box at equal error"));
+    assert_int_equal(run("study --help"), 0);
+}
+
+static void interrupted_study_ends_with_130(void **state)
+{
+    (void)state;
+    static const char *const WORDS[] = {
+        "lumiview", "study", "room.gltf", "--light",  "lamp@1,2.box.exr@0,2.4,0", "--lamp", "lamp.gltf@0,2.4,0",
+        "--time",   "1h",    "-o",        "none.html"};
+    enum { COUNT = sizeof WORDS / sizeof WORDS[0] };
+    char *arguments[COUNT + 1] = {NULL};
+    for (int i = 0; i < COUNT; i++) {
+        arguments[i] = (char *)(uintptr_t)WORDS[i];
+    }
+    assert_int_equal(run_vector(arguments, 1500), 130);
+    one_error();
+    assert_int_equal(count_files("none"), 0);
+}
+
 static void wrong_usage_is_2(void **state)
 {
     (void)state;
@@ -269,6 +397,20 @@ static void wrong_usage_is_2(void **state)
         "render room.gltf --png none.png --exposure bright",
         "render room.gltf --png none.png --threads many",
         "render room.gltf --png none.png --seed -1",
+        "study",
+        "study room.gltf",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 -o none.html",
+        "study room.gltf --lamp lamp.gltf@0,1,0 -o none.html",
+        "study room.gltf --light lamp@1,2.box.exr --lamp lamp.gltf@0,1,0 -o none.html",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html --runs 2",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html --runs 65",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html --block 0",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html --block 40",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html --spp 0",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html --spp 4 --time 3s",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html --time soon",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html --png none.png",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --recipe x.json --lamp lamp.gltf@0,1,0 -o none.html",
         "diff",
         "diff a.exr",
         "diff a.exr b.exr c.exr",
@@ -326,6 +468,11 @@ static void bad_input_is_3(void **state)
         "render room.gltf --lamp lamp.gltf@0,1,0 --recipe missing.json --png none.png -o none.exr",
         "render room.gltf --lamp lamp.gltf@0,1,0 --recipe room.gltf --png none.png -o none.exr",
         "render room.gltf --exposure missing.exr --png none.png -o none.exr",
+        "study missing.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html",
+        "study room.gltf --light missing.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html",
+        "study room.gltf --light half.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o none.html",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp dark.gltf@0,1,0 -o none.html",
+        "study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 --recipe missing.json -o none.html",
         "diff missing.exr missing.exr --png none.png",
         "diff room.gltf room.gltf --png none.png",
     };
@@ -340,6 +487,8 @@ static void bad_input_is_3(void **state)
     }
     /* Nowhere to write: known at once, before a long rendering. */
     assert_int_equal(run("render room.gltf --light lamp@1,2.box.exr@0,1,0 --png no/such/folder/x.png --spp 1000000"), 1);
+    one_error();
+    assert_int_equal(run("study room.gltf --light lamp@1,2.box.exr@0,1,0 --lamp lamp.gltf@0,1,0 -o no/such/folder/x.html"), 1);
     one_error();
 }
 
@@ -457,6 +606,8 @@ int main(void)
         cmocka_unit_test(wrong_usage_is_2),
         cmocka_unit_test(bad_input_is_3),
         cmocka_unit_test(interrupt_writes_what_there_is),
+        cmocka_unit_test(studies_a_room),
+        cmocka_unit_test(interrupted_study_ends_with_130),
         cmocka_unit_test(time_is_kept),
         cmocka_unit_test(odd_rooms),
     };
