@@ -25,10 +25,10 @@ static const struct argp_option OPTIONS[] = {
     {0},
 };
 
-static const char DOC[] =
-    "Bakes a lamp with rising numbers of photons and of cells, judges every box by many more of the lamp's own rays, and says what an error of "
-    "5, 2, 1 and 0.5 % costs in time and size."
-    "\vExample:\n  lumibake study lamp.gltf --time 10m -o study.html";
+static const char DOC[] = "Bakes a lamp with rising numbers of photons and of cells, judges every box by many more of the lamp's "
+                          "own rays, and says what an error of "
+                          "5, 2, 1 and 0.5 % costs in time and size; what plain bins and rays traced backwards would make of it."
+                          "\vExample:\n  lumibake study lamp.gltf --time 10m -o study.html";
 
 typedef struct command {
     lamp_options lamp;
@@ -74,20 +74,19 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     return 0;
 }
 
-static double seconds_of(const study_rung *r)
-{
-    return r->pilot_seconds + r->trace_seconds + r->reconstruct_seconds + r->write_seconds;
-}
-
 static void print_rung(FILE *to, const study_rung *r)
 {
-    fprintf(to, "%9.3g %9.3g %7.1f %6.1f", (double)r->photons, (double)r->cells, seconds_of(r), 1e-6 * (double)r->bytes);
+    fprintf(to, "%-8s %9.3g %9.3g %7.1f %6.1f", study_ladder_name(r->ladder), (double)r->photons, (double)r->cells,
+            study_rung_seconds(r), 1e-6 * (double)r->bytes);
     for (int m = 0; m < JUDGE_MEASURES; ++m)
         fprintf(to, "  %6.2f +- %-4.2f", 100 * r->verdict.error[m].rms, 100 * r->verdict.error[m].standard_error);
+    if (isfinite(r->plain.error[JUDGE_NEAR].rms))
+        fprintf(to, "  %6.2f", 100 * r->plain.error[JUDGE_NEAR].rms);
     fputc('\n', to);
 }
 
-static const char HEAD[] = "  photons     cells seconds     MB    near field %      far field %    luminance %\n";
+static const char HEAD[] =
+    "ladder     photons     cells seconds     MB    near field %      far field %    luminance %  near, plain bins %\n";
 
 static void show_progress(void *self, const study_rung *rung, size_t done, size_t all)
 {
@@ -103,38 +102,49 @@ static json_t *error_json(judge_error e)
     return json_pack("{s:o, s:o}", "rms", json_number(e.rms), "standard_error", json_number(e.standard_error));
 }
 
+static json_t *slope_json(report_slope f)
+{
+    return json_pack("{s:o, s:o, s:o, s:I}", "slope", json_number(f.slope), "standard_error", json_number(f.standard_error),
+                     "confidence_95", json_number(f.confidence), "points", (json_int_t)f.points);
+}
+
 static json_t *study_json(const command *c, const study *s)
 {
     static const char *const KEYS[JUDGE_MEASURES] = {"near_field", "far_field", "luminance"};
     json_t *rungs = json_array(), *fits = json_object(), *advice = json_array();
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
-        json_t *planes = json_array(), *j = json_pack("{s:s, s:I, s:I, s:I, s:f, s:f, s:f, s:f, s:o}", "ladder", r->resolution ? "cells" : "photons",
-                                                      "photons", (json_int_t)r->photons, "cells", (json_int_t)r->cells, "bytes",
-                                                      (json_int_t)r->bytes, "pilot_s", r->pilot_seconds, "trace_s", r->trace_seconds,
-                                                      "reconstruct_s", r->reconstruct_seconds, "write_s", r->write_seconds, "noise",
-                                                      json_number(r->noise));
+        json_t *planes = json_array(), *plain = json_object();
+        json_t *j =
+            json_pack("{s:s, s:I, s:I, s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:o}", "ladder", study_ladder_name(r->ladder), "photons",
+                      (json_int_t)r->photons, "gathered_rays", (json_int_t)r->gathered_rays, "cells", (json_int_t)r->cells, "bytes",
+                      (json_int_t)r->bytes, "pilot_s", r->pilot_seconds, "trace_s", r->trace_seconds, "gather_s", r->gather_seconds,
+                      "reconstruct_s", r->reconstruct_seconds, "write_s", r->write_seconds, "noise", json_number(r->noise));
         for (int k = 0; k < JUDGE_DISTANCES; ++k)
             json_array_append_new(planes, error_json(r->verdict.planes[k]));
         json_object_set_new(j, "planes", planes);
         for (int m = 0; m < JUDGE_MEASURES; ++m)
             json_object_set_new(j, KEYS[m], error_json(r->verdict.error[m]));
+        for (int m = 0; m < JUDGE_MEASURES; ++m)
+            json_object_set_new(plain, KEYS[m], error_json(r->plain.error[m]));
+        json_object_set_new(j, "plain_bins", plain);
         json_array_append_new(rungs, j);
     }
     for (int m = 0; m < JUDGE_MEASURES; ++m)
-        json_object_set_new(fits, KEYS[m], json_pack("{s:o, s:o, s:o, s:o, s:o}", "scale", json_number(s->fit[m].scale), "floor",
-                                                     json_number(s->fit[m].floor), "slope", json_number(s->fit[m].slope),
-                                                     "slope_standard_error", json_number(s->fit[m].slope_se), "reference_noise",
-                                                     json_number(s->reference_noise[m])));
+        json_object_set_new(fits, KEYS[m],
+                            json_pack("{s:o, s:o, s:o, s:o, s:o}", "scale", json_number(s->fit[m].scale), "floor",
+                                      json_number(s->fit[m].floor), "over_photons", slope_json(s->fit[m].over_photons), "over_time",
+                                      slope_json(s->fit[m].over_seconds), "reference_noise", json_number(s->reference_noise[m])));
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         const study_advice *a = &s->advice[t];
         json_array_append_new(advice, json_pack("{s:f, s:b, s:I, s:I, s:f, s:f}", "target", a->target, "reachable", a->reachable, "photons",
                                                 (json_int_t)a->photons, "cells", (json_int_t)a->cells, "seconds", a->seconds, "bytes",
                                                 a->bytes));
     }
-    return json_pack("{s:s, s:s, s:f, s:I, s:f, s:f, s:o, s:o, s:o}", "format", "lumibake study 1", "lamp", c->lamp.path, "size_m", s->size,
-                     "reference_photons", (json_int_t)s->reference_photons, "photons_per_second", s->photons_per_second, "deposit_share",
-                     s->deposit_share, "rungs", rungs, "fits", fits, "advice", advice);
+    return json_pack("{s:s, s:s, s:f, s:I, s:f, s:f, s:o, s:o, s:o, s:o}", "format", "lumibake study 2", "lamp", c->lamp.path,
+                     "size_m", s->size, "reference_photons", (json_int_t)s->reference_photons, "photons_per_second",
+                     s->photons_per_second, "deposit_share", s->deposit_share, "rungs", rungs, "fits", fits, "advice", advice,
+                     "combined_why", s->combined_why[0] ? json_string(s->combined_why) : json_null());
 }
 
 static void print_study(const command *c, const study *s)
@@ -143,8 +153,11 @@ static void print_study(const command *c, const study *s)
     for (size_t i = 0; i < s->rung_count; ++i)
         print_rung(stdout, &s->rungs[i]);
     for (int m = 0; m < JUDGE_MEASURES; ++m)
-        printf("%-24s slope %.3f +- %.3f, floor %.2f %%\n", judge_measure_name((judge_measure)m), s->fit[m].slope, s->fit[m].slope_se,
-               100 * s->fit[m].floor);
+        printf("%-24s slope over photons %.3f +- %.3f, over time %.3f +- %.3f (95 %%), floor %.2f %%\n",
+               judge_measure_name((judge_measure)m), s->fit[m].over_photons.slope, s->fit[m].over_photons.confidence,
+               s->fit[m].over_seconds.slope, s->fit[m].over_seconds.confidence, 100 * s->fit[m].floor);
+    if (s->combined_why[0])
+        printf("no ladder of photons and rays traced backwards: %s\n", s->combined_why);
     printf("depositing takes %.0f %% of tracing\n", 100 * s->deposit_share);
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         const study_advice *a = &s->advice[t];

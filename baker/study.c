@@ -13,11 +13,13 @@
 #include <unistd.h>
 
 static const double TARGETS[STUDY_TARGETS] = {0.05, 0.02, 0.01, 0.005};
-/* Shares of the study's time: the lamp's own rays; the ladder of photons, each rung twice the one before; the ladder of cells.  What is
- * left goes into judging the boxes. */
-static const double REFERENCE_SHARE = 0.25, PHOTON_SHARE = 0.3, CELL_SHARE = 0.25;
-/* The ladders: photons from 1/128 of the largest bake on, cells in steps of four around the default. */
-enum { PHOTON_RUNGS = 8, CELL_RUNGS = 4 };
+/* Shares of the study's time: the lamp's own rays; the ladder of photons, each rung twice the one before; the ladder of cells; that
+ * of photons and rays traced backwards.  What is left goes into judging the boxes. */
+static const double REFERENCE_SHARE = 0.22, PHOTON_SHARE = 0.25, CELL_SHARE = 0.2, COMBINED_SHARE = 0.1;
+/* The ladders: photons from 1/128 of the largest bake on, cells in steps of four around the default, both in steps of four up to
+ * what takes about as long as the largest bake of photons. */
+enum { PHOTON_RUNGS = 8, CELL_RUNGS = 4, COMBINED_RUNGS = 4 };
+enum { JUDGED = 2 * (PHOTON_RUNGS + CELL_RUNGS) + COMBINED_RUNGS }; /* boxes of photons twice */
 static const uint64_t CELLS[CELL_RUNGS] = {250000, 1000000, 4000000, 16000000};
 static const uint64_t DEFAULT_CELLS = 4000000;
 /* Rays that a box is judged by, at least, however short the study: below that the judging's own noise hides errors of ten percent. */
@@ -41,15 +43,33 @@ static bool stopped(const ladder *l)
 
 /* -------------------------------------------------------------------------------------------------------------- baking */
 
-static lmg_result bake_rung(ladder *l, bool resolution, uint64_t photons, uint64_t cells, lmg_error *err)
+const char *study_ladder_name(study_ladder kind)
+{
+    static const char *const NAMES[STUDY_LADDERS] = {"photons", "cells", "combined"};
+    return NAMES[kind];
+}
+
+/* A verdict that says nothing. */
+static judge_verdict no_verdict(void)
+{
+    judge_verdict v;
+    for (int m = 0; m < JUDGE_MEASURES; ++m)
+        v.error[m] = (judge_error){NAN, NAN};
+    for (int k = 0; k < JUDGE_DISTANCES; ++k)
+        v.planes[k] = (judge_error){NAN, NAN};
+    return v;
+}
+
+static lmg_result bake_rung(ladder *l, study_ladder kind, uint64_t photons, uint64_t cells, lmg_error *err)
 {
     study *s = l->out;
     study_rung *rung = &s->rungs[s->rung_count];
-    *rung = (study_rung){.resolution = resolution, .photons = photons, .cells_asked = cells};
+    *rung = (study_rung){.ladder = kind, .photons = photons, .cells_asked = cells, .plain = no_verdict()};
     const bake_options options = {.photons = photons,
                                   .seed = l->options->seed,
                                   .threads = l->options->threads,
                                   .flux_lm = l->options->flux_lm,
+                                  .rays_per_photon = kind == STUDY_COMBINED ? 1 : 0,
                                   .fit = {.cells = cells}};
     lmg_field *field;
     bake_report report;
@@ -58,6 +78,8 @@ static lmg_result bake_rung(ladder *l, bool resolution, uint64_t photons, uint64
         return result;
     rung->pilot_seconds = report.pilot_seconds;
     rung->trace_seconds = report.trace_seconds;
+    rung->gather_seconds = report.gather_seconds;
+    rung->gathered_rays = report.gathered_rays;
     rung->reconstruct_seconds = report.reconstruct_seconds;
     rung->noise = report.noise;
     const lmg_layout *layout = lmg_field_layout(field);
@@ -74,6 +96,10 @@ static lmg_result bake_rung(ladder *l, bool resolution, uint64_t photons, uint64
     unlink(l->path);
     if (result == LMG_OK)
         result = judge_box(l->judge, field, l->judging, &rung->verdict, err);
+    if (result == LMG_OK && kind != STUDY_COMBINED) {
+        lmg_field_make_constant(field);
+        result = judge_box(l->judge, field, l->judging, &rung->plain, err);
+    }
     lmg_field_destroy(field);
     if (result == LMG_OK) {
         ++s->rung_count;
@@ -83,9 +109,9 @@ static lmg_result bake_rung(ladder *l, bool resolution, uint64_t photons, uint64
     return result;
 }
 
-static double rung_seconds(const study_rung *r)
+double study_rung_seconds(const study_rung *r)
 {
-    return r->pilot_seconds + r->trace_seconds + r->reconstruct_seconds + r->write_seconds;
+    return r->pilot_seconds + r->trace_seconds + r->gather_seconds + r->reconstruct_seconds + r->write_seconds;
 }
 
 /* The share of tracing's time that depositing takes: the same photons with and without an accumulator, the lesser of three times each. */
@@ -125,27 +151,26 @@ static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
 
 /* ------------------------------------------------------------------------------------------------------------- fitting */
 
-/* Least squares of error^2 = scale / n + floor^2 with both terms >= 0, weights from the errors of the errors, and the slope of
- * log(error) over log(n) with its standard error from the residuals. */
+/* Least squares of error^2 = scale / n + floor^2 with both terms >= 0, weights from the errors of the errors, and the slopes. */
 static study_fit fit_ladder(const study *s, judge_measure m)
 {
     double w0 = 0, wx = 0, wxx = 0, wy = 0, wxy = 0;
-    double l0 = 0, lx = 0, lxx = 0, ly = 0, lxy = 0, lyy = 0;
+    double photons[STUDY_MAX_RUNGS], seconds[STUDY_MAX_RUNGS], error[STUDY_MAX_RUNGS];
+    size_t count = 0;
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
         const judge_error e = r->verdict.error[m];
-        if (r->resolution || !isfinite(e.rms))
+        if (r->ladder != STUDY_PHOTONS || !isfinite(e.rms))
             continue;
         const double x = 1 / (double)r->photons, y = e.rms * fabs(e.rms);
         /* Relative weights: no rung is known better than to 5 %, as the errors' errors leave out how a bake's own luck moves it. */
         const double se = hypot(2 * fabs(e.rms) * e.standard_error, 0.1 * fabs(y)), w = se > 0 ? 1 / (se * se) : 0;
         w0 += w, wx += w * x, wxx += w * x * x, wy += w * y, wxy += w * x * y;
-        if (e.rms > 0) {
-            const double a = log((double)r->photons), b = log(e.rms);
-            l0 += 1, lx += a, lxx += a * a, ly += b, lxy += a * b, lyy += b * b;
-        }
+        photons[count] = (double)r->photons;
+        seconds[count] = study_rung_seconds(r);
+        error[count++] = e.rms;
     }
-    study_fit f = {.scale = NAN, .floor = NAN, .slope = NAN, .slope_se = NAN};
+    study_fit f = {.scale = NAN, .floor = NAN};
     const double determinant = w0 * wxx - wx * wx;
     if (determinant > 0) {
         f.scale = (w0 * wxy - wx * wy) / determinant;
@@ -159,13 +184,8 @@ static study_fit fit_ladder(const study *s, judge_measure m)
         }
         f.floor = sqrt(square);
     }
-    const double spread = l0 * lxx - lx * lx;
-    if (l0 >= 3 && spread > 0) {
-        f.slope = (l0 * lxy - lx * ly) / spread;
-        const double intercept = (ly - f.slope * lx) / l0;
-        const double residual = lyy - intercept * ly - f.slope * lxy;
-        f.slope_se = sqrt(fmax(residual, 0) / (l0 - 2) * l0 / spread);
-    }
+    f.over_photons = report_slope_fit(photons, error, count);
+    f.over_seconds = report_slope_fit(seconds, error, count);
     return f;
 }
 
@@ -179,7 +199,7 @@ static void give_advice(study *s)
         *a = (study_advice){.target = TARGETS[t]};
         for (size_t i = 0; i < s->rung_count; ++i) {
             const study_rung *r = &s->rungs[i];
-            if (!r->resolution || !(f->scale >= 0))
+            if (r->ladder != STUDY_CELLS || !(f->scale >= 0))
                 continue;
             /* A standard error to be on the safe side: what is hardly known mustn't come out as good. */
             const double e = r->verdict.error[JUDGE_NEAR].rms + r->verdict.error[JUDGE_NEAR].standard_error;
@@ -219,8 +239,8 @@ static lmg_result measure_reference(ladder *l, lmg_error *err)
     s->reference_photons = (uint64_t)(REFERENCE_SHARE * o->seconds * measuring);
     if (s->reference_photons < 4 * LEAST_JUDGING)
         s->reference_photons = 4 * LEAST_JUDGING;
-    const double left = 1 - REFERENCE_SHARE - PHOTON_SHARE - CELL_SHARE;
-    l->judging = (uint64_t)(left * o->seconds * measuring / (PHOTON_RUNGS + CELL_RUNGS));
+    const double left = 1 - REFERENCE_SHARE - PHOTON_SHARE - CELL_SHARE - COMBINED_SHARE;
+    l->judging = (uint64_t)(left * o->seconds * measuring / JUDGED);
     if (l->judging < LEAST_JUDGING)
         l->judging = LEAST_JUDGING;
     result = judge_measure_lamp(l->judge, s->reference_photons, err);
@@ -229,22 +249,44 @@ static lmg_result measure_reference(ladder *l, lmg_error *err)
     return result;
 }
 
+/* Photons and rays traced backwards; a lamp whose light can't be traced so goes without. */
+static lmg_result climb_combined(ladder *l, lmg_error *err)
+{
+    study *s = l->out;
+    /* A ladder in steps of four takes four thirds of its highest rung, and a ray about as long as a photon (docs/accuracy.md). */
+    const double largest = fmax(COMBINED_SHARE * l->options->seconds * 3 / 8 * s->photons_per_second, 64 * 2000);
+    for (int i = 0; !stopped(l) && i < COMBINED_RUNGS; ++i) {
+        lmg_error why = {{0}};
+        const lmg_result result =
+            bake_rung(l, STUDY_COMBINED, (uint64_t)(largest / (double)(1 << 2 * (COMBINED_RUNGS - 1 - i))), DEFAULT_CELLS, &why);
+        if (result == LMG_ERROR_UNSUPPORTED) {
+            snprintf(s->combined_why, sizeof(s->combined_why), "%.199s", why.message);
+            return LMG_OK;
+        }
+        if (result != LMG_OK)
+            return lmg_fail(err, result, "%s", why.message);
+    }
+    return LMG_OK;
+}
+
 static lmg_result climb(ladder *l, lmg_error *err)
 {
     study *s = l->out;
     const double seconds = l->options->seconds;
     const double largest = fmax(PHOTON_SHARE * seconds / 2 * s->photons_per_second, 128 * 2000);
     lmg_result result = LMG_OK;
-    l->planned = PHOTON_RUNGS + CELL_RUNGS;
+    l->planned = PHOTON_RUNGS + CELL_RUNGS + COMBINED_RUNGS;
     for (int i = 0; result == LMG_OK && !stopped(l) && i < PHOTON_RUNGS; ++i)
-        result = bake_rung(l, false, (uint64_t)(largest / (double)(1 << (PHOTON_RUNGS - 1 - i))), DEFAULT_CELLS, err);
+        result = bake_rung(l, STUDY_PHOTONS, (uint64_t)(largest / (double)(1 << (PHOTON_RUNGS - 1 - i))), DEFAULT_CELLS, err);
     if (result == LMG_OK && s->rung_count > 0) {
         const study_rung *top = &s->rungs[s->rung_count - 1];
-        s->photons_per_second = (double)top->photons / rung_seconds(top);
+        s->photons_per_second = (double)top->photons / study_rung_seconds(top);
     }
     const double each = fmax(CELL_SHARE * seconds / CELL_RUNGS * s->photons_per_second, 1e5);
     for (int i = 0; result == LMG_OK && !stopped(l) && i < CELL_RUNGS; ++i)
-        result = bake_rung(l, true, (uint64_t)each, CELLS[i], err);
+        result = bake_rung(l, STUDY_CELLS, (uint64_t)each, CELLS[i], err);
+    if (result == LMG_OK)
+        result = climb_combined(l, err);
     if (result == LMG_OK && s->rung_count < 3)
         result = lmg_fail(err, LMG_ERROR_INPUT, "interrupted before there was anything to say");
     if (result == LMG_OK)

@@ -1,28 +1,40 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * What accuracy costs in time: a lamp is baked with rising numbers of photons and with several numbers of cells, and each box is judged
- * against the lamp's own rays, many more of them, the noise of both taken out.
+ * What accuracy costs in time: a lamp is baked with rising numbers of photons, with several numbers of cells, and with rays traced
+ * backwards beside the photons, and each box is judged against the lamp's own rays, many more of them, the noise of both taken out.
+ * Boxes of photons alone are judged once more as plain bins.
  */
 #ifndef BAKER_STUDY_H
 #define BAKER_STUDY_H
 
 #include "judge.h"
 
+#include "power_law.h"
+
 enum { STUDY_MAX_RUNGS = 24, STUDY_TARGETS = 4 };
 
+/* Rising numbers of photons; of cells, by the same photons; of photons and as many rays traced backwards as photons leave. */
+typedef enum study_ladder { STUDY_PHOTONS, STUDY_CELLS, STUDY_COMBINED, STUDY_LADDERS } study_ladder;
+const char *study_ladder_name(study_ladder ladder); /* "photons", "cells", "combined" */
+
 typedef struct study_rung {
-    bool resolution; /* of the ladder of cells; false: of the ladder of photons */
+    study_ladder ladder;
     uint64_t photons, cells, bytes; /* cells: as laid out */
     uint64_t cells_asked;
-    double pilot_seconds, trace_seconds, reconstruct_seconds, write_seconds;
+    uint64_t gathered_rays; /* traced backwards */
+    double pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds, write_seconds;
     judge_verdict verdict;
-    double noise; /* what the bake itself said: bake_report.noise */
+    judge_verdict plain; /* of the same box read as plain bins (lmg_field_make_constant); STUDY_COMBINED: not judged, NAN */
+    double noise;        /* what the bake itself said: bake_report.noise */
 } study_rung;
 
-/* error^2 = scale / photons + floor^2, fitted to the ladder of photons; slope: of log(error) over log(photons), by regression. */
+/* All in: what the whole bake took. */
+double study_rung_seconds(const study_rung *rung);
+
+/* error^2 = scale / photons + floor^2, fitted to the ladder of photons, and slopes of log(error). */
 typedef struct study_fit {
     double scale, floor;
-    double slope, slope_se;
+    report_slope over_photons, over_seconds;
 } study_fit;
 
 /* The cheapest command that reaches a target of the near-field error. */
@@ -53,6 +65,8 @@ typedef struct study {
     study_rung rungs[STUDY_MAX_RUNGS];
     study_fit fit[JUDGE_MEASURES];
     study_advice advice[STUDY_TARGETS];
+    char
+        combined_why[200]; /* why there is no ladder of STUDY_COMBINED: which effect can't be traced backwards; "" = there is one */
     double photons_per_second; /* of whole bakes: the largest rung of the ladder of photons */
     double deposit_share;      /* of the time of tracing that goes into counting rays in cells */
 } study;

@@ -7,32 +7,46 @@
 #include <math.h>
 #include <stdio.h>
 
-static double seconds_of(const study_rung *r)
-{
-    return r->pilot_seconds + r->trace_seconds + r->reconstruct_seconds + r->write_seconds;
-}
+/* A curve of errors: a measure of the boxes of a ladder, as reconstructed or read as plain bins. */
+typedef struct errors_of {
+    const char *name;
+    study_ladder ladder;
+    judge_measure measure;
+    bool plain;
+} errors_of;
 
-/* One curve per measure over x(rung), of one of the ladders. */
-static void add_errors(report_page *page, const study *s, bool resolution, const report_axes *axes,
+enum { MOST_CURVES = 6 }; /* that can be told apart */
+
+/* Curves over x(rung). */
+static void add_curves(report_page *page, const study *s, const errors_of *which, size_t count, const report_axes *axes,
                        double (*x_of)(const study_rung *))
 {
-    double x[STUDY_MAX_RUNGS], y[JUDGE_MEASURES][STUDY_MAX_RUNGS], se[JUDGE_MEASURES][STUDY_MAX_RUNGS];
-    size_t count = 0;
-    for (size_t i = 0; i < s->rung_count; ++i) {
-        const study_rung *r = &s->rungs[i];
-        if (r->resolution != resolution)
-            continue;
-        x[count] = x_of(r);
-        for (int m = 0; m < JUDGE_MEASURES; ++m) {
-            y[m][count] = 100 * r->verdict.error[m].rms;
-            se[m][count] = 100 * r->verdict.error[m].standard_error;
+    double x[MOST_CURVES][STUDY_MAX_RUNGS], y[MOST_CURVES][STUDY_MAX_RUNGS], se[MOST_CURVES][STUDY_MAX_RUNGS];
+    report_curve curves[MOST_CURVES];
+    for (size_t c = 0; c < count; ++c) {
+        size_t n = 0;
+        for (size_t i = 0; i < s->rung_count; ++i) {
+            const study_rung *r = &s->rungs[i];
+            if (r->ladder != which[c].ladder)
+                continue;
+            const judge_error e = (which[c].plain ? &r->plain : &r->verdict)->error[which[c].measure];
+            x[c][n] = x_of(r);
+            y[c][n] = 100 * e.rms;
+            se[c][n++] = 100 * e.standard_error;
         }
-        ++count;
+        curves[c] = (report_curve){.name = which[c].name, .x = x[c], .y = y[c], .y_se = se[c], .count = n};
     }
-    report_curve curves[JUDGE_MEASURES];
+    report_page_plot(page, axes, curves, count);
+}
+
+/* One curve per measure, of one of the ladders. */
+static void add_errors(report_page *page, const study *s, study_ladder ladder, const report_axes *axes,
+                       double (*x_of)(const study_rung *))
+{
+    errors_of which[JUDGE_MEASURES];
     for (int m = 0; m < JUDGE_MEASURES; ++m)
-        curves[m] = (report_curve){.name = judge_measure_name((judge_measure)m), .x = x, .y = y[m], .y_se = se[m], .count = count};
-    report_page_plot(page, axes, curves, JUDGE_MEASURES);
+        which[m] = (errors_of){judge_measure_name((judge_measure)m), ladder, (judge_measure)m, false};
+    add_curves(page, s, which, JUDGE_MEASURES, axes, x_of);
 }
 
 static double cells_of(const study_rung *r)
@@ -57,32 +71,35 @@ static void add_rungs(report_page *page, const study *s)
     report_page_text(page, "Errors are relative RMS differences from the lamp's own light in %%, the noise of judging taken out; a "
                            "negative one is all noise. "
                            "Near: the RMS of five planes at 0.5, 1, 2, 5 and 10 sizes.");
-    report_page_table(page, "photons\tcells\tseconds\tMB\tnear\t0.5\t1\t2\t5\t10 sizes\tfar field\tluminance\tnoise, by the bake");
+    report_page_table(page, "ladder\tphotons\tcells\tseconds\tMB\tnear\t0.5\t1\t2\t5\t10 sizes\tfar field\tluminance\tnoise, by "
+                            "the bake\tnear, plain bins");
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
-        char near[48], far[48], luminance[48];
-        report_page_row(page, "%.3g\t%.3g\t%.3g\t%.3g\t%s\t%.3g\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%s\t%.3g", (double)r->photons,
-                        (double)r->cells, seconds_of(r), megabytes_of(r), percent(near, r->verdict.error[JUDGE_NEAR]),
-                        100 * r->verdict.planes[0].rms, 100 * r->verdict.planes[1].rms, 100 * r->verdict.planes[2].rms,
-                        100 * r->verdict.planes[3].rms, 100 * r->verdict.planes[4].rms, percent(far, r->verdict.error[JUDGE_FAR]),
-                        percent(luminance, r->verdict.error[JUDGE_LUMINANCE]), 100 * r->noise);
+        char near[48], far[48], luminance[48], plain[48];
+        report_page_row(page, "%s\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%.3g\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%s\t%.3g\t%s",
+                        study_ladder_name(r->ladder), (double)r->photons, (double)r->cells, study_rung_seconds(r), megabytes_of(r),
+                        percent(near, r->verdict.error[JUDGE_NEAR]), 100 * r->verdict.planes[0].rms, 100 * r->verdict.planes[1].rms,
+                        100 * r->verdict.planes[2].rms, 100 * r->verdict.planes[3].rms, 100 * r->verdict.planes[4].rms,
+                        percent(far, r->verdict.error[JUDGE_FAR]), percent(luminance, r->verdict.error[JUDGE_LUMINANCE]),
+                        100 * r->noise,
+                        isfinite(r->plain.error[JUDGE_NEAR].rms) ? percent(plain, r->plain.error[JUDGE_NEAR]) : "\u2013");
     }
     report_page_table_end(page);
 }
 
 static void add_fits(report_page *page, const study *s)
 {
-    report_page_table(
-        page, "measure\tslope of log error over log photons\tfloor, %\tnoise of 10\u2076 photons, %\tnoise of the reference, %");
+    report_page_table(page, "measure\tslope of log error over log photons\tover log seconds\tfloor, %\tnoise of 10\u2076 photons, "
+                            "%\tnoise of the reference, %");
     for (int m = 0; m < JUDGE_MEASURES; ++m) {
         const study_fit *f = &s->fit[m];
-        report_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m), f->slope, f->slope_se,
+        report_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3f \u00b1 %.3f\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m),
+                        f->over_photons.slope, f->over_photons.confidence, f->over_seconds.slope, f->over_seconds.confidence,
                         100 * f->floor, 100 * sqrt(f->scale / 1e6), 100 * s->reference_noise[m]);
     }
     report_page_table_end(page);
-    report_page_text(
-        page,
-        "Fit: error\u00b2 = scale / photons + floor\u00b2. The floor is what the cells blur; noise alone has the slope -0.5.");
+    report_page_text(page, "Slopes with what they are within at 95 %% confidence; noise alone has -0.5. Fit: error\u00b2 = scale / "
+                           "photons + floor\u00b2. The floor is what the cells blur.");
 }
 
 static void add_advice(report_page *page, const study *s, const char *lamp)
@@ -100,15 +117,56 @@ static void add_advice(report_page *page, const study *s, const char *lamp)
     report_page_table_end(page);
 }
 
+static void add_methods(report_page *page, const study *s)
+{
+    static const errors_of PLAIN[] = {
+        {"near", STUDY_CELLS, JUDGE_NEAR, false},
+        {"near, plain bins", STUDY_CELLS, JUDGE_NEAR, true},
+        {"far", STUDY_CELLS, JUDGE_FAR, false},
+        {"far, plain bins", STUDY_CELLS, JUDGE_FAR, true},
+        {"luminance", STUDY_CELLS, JUDGE_LUMINANCE, false},
+        {"luminance, plain bins", STUDY_CELLS, JUDGE_LUMINANCE, true},
+    };
+    static const errors_of COMBINED[] = {
+        {"near", STUDY_PHOTONS, JUDGE_NEAR, false},
+        {"near, combined", STUDY_COMBINED, JUDGE_NEAR, false},
+        {"far", STUDY_PHOTONS, JUDGE_FAR, false},
+        {"far, combined", STUDY_COMBINED, JUDGE_FAR, false},
+        {"luminance", STUDY_PHOTONS, JUDGE_LUMINANCE, false},
+        {"luminance, combined", STUDY_COMBINED, JUDGE_LUMINANCE, false},
+    };
+    report_page_heading(page, "Other methods");
+    report_page_text(
+        page, "Plain bins: the same boxes with radiance constant within each cell, as a histogram has it, instead of linear.");
+    add_curves(
+        page, s, PLAIN, MOST_CURVES,
+        &(report_axes){
+            .title = "Plain bins and our reconstruction", .x = "cells", .y = "relative RMS error, %", .log_x = true, .log_y = true},
+        cells_of);
+    if (s->combined_why[0]) {
+        report_page_text(page, "Photons and rays traced backwards, combined: not for this lamp. %s", s->combined_why);
+        return;
+    }
+    report_page_text(page,
+                     "Combined: photons and as many rays traced backwards into the lamp (bake --gather 1) as photons leave it.");
+    add_curves(page, s, COMBINED, MOST_CURVES,
+               &(report_axes){.title = "Photons only and combined",
+                              .x = "seconds, all in",
+                              .y = "relative RMS error, %",
+                              .log_x = true,
+                              .log_y = true},
+               study_rung_seconds);
+}
+
 static void add_money(report_page *page, const study *s)
 {
     const study_rung *top = NULL;
     for (size_t i = 0; i < s->rung_count; ++i)
-        if (!s->rungs[i].resolution)
+        if (s->rungs[i].ladder == STUDY_PHOTONS)
             top = &s->rungs[i];
     if (!top)
         return;
-    const double all = seconds_of(top), deposit = s->deposit_share * top->trace_seconds;
+    const double all = study_rung_seconds(top), deposit = s->deposit_share * top->trace_seconds;
     report_page_heading(page, "Where the time goes");
     report_page_text(page, "Of the largest bake of the ladder of photons, %.3g photons in %.3g s.", (double)top->photons, all);
     report_page_table(page, "part\tseconds\tshare, %");
@@ -134,16 +192,16 @@ lmg_result study_report(const study *s, const char *lamp, const char *path, lmg_
                      (double)s->reference_photons, s->axis.x, s->axis.y, s->axis.z, s->size);
     add_advice(page, s, lamp);
     report_page_heading(page, "Error against time");
-    add_errors(page, s, false,
+    add_errors(page, s, STUDY_PHOTONS,
                &(report_axes){.title = "Rising numbers of photons, 4 million cells asked for",
                               .x = "seconds, all in",
                               .y = "relative RMS error, %",
                               .log_x = true,
                               .log_y = true},
-               seconds_of);
+               study_rung_seconds);
     add_fits(page, s);
     report_page_heading(page, "Error against resolution and size");
-    add_errors(page, s, true,
+    add_errors(page, s, STUDY_CELLS,
                &(report_axes){.title = "Rising numbers of cells, the same photons",
                               .x = "cells",
                               .y = "relative RMS error, %",
@@ -151,10 +209,11 @@ lmg_result study_report(const study *s, const char *lamp, const char *path, lmg_
                               .log_y = true},
                cells_of);
     add_errors(
-        page, s, true,
+        page, s, STUDY_CELLS,
         &(report_axes){
             .title = "The same, by the size of the file", .x = "MB", .y = "relative RMS error, %", .log_x = true, .log_y = true},
         megabytes_of);
+    add_methods(page, s);
     add_money(page, s);
     add_rungs(page, s);
     result = report_page_write(page, path, err);

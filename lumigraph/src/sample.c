@@ -141,6 +141,13 @@ lmg_result lmg_field_prepare(lmg_field *field, lmg_error *err)
     return LMG_OK;
 }
 
+void lmg_field_make_constant(lmg_field *field)
+{
+    for (uint32_t j = 0; j < field->layout.slab_count; j++)
+        for (uint64_t cell = 0; cell < field->slabs[j].cells; cell++)
+            memset(lmg_cell_slopes(&field->slabs[j], cell), 0, 4);
+}
+
 /* ------------------------------------------------------------------------------------------------------------ emission */
 
 /* Numbers for the tries of a rejection, keyed by the caller's own random numbers (SplitMix64). */

@@ -403,7 +403,7 @@ static void test_study(void **state)
     outcome o = RUN("study", lamp, "--time", "4s", "--json", "-o", in_folder("study.html"));
     assert_int_equal(o.code, 0);
     json_t *j = parse_json(o.out), *rungs = json_object_get(j, "rungs");
-    assert_int_equal(json_array_size(rungs), 12);
+    assert_int_equal(json_array_size(rungs), 16);
     double error[2] = {0, 0}, photons[2] = {0, 0};
     for (size_t i = 0; i < 8; ++i) {
         json_t *r = json_array_get(rungs, i);
@@ -414,7 +414,20 @@ static void test_study(void **state)
         error[i >= 4] += pow(number_at(json_object_get(r, "near_field"), "rms", NULL), 2) / 4;
     }
     assert_true(error[1] < error[0]);
-    assert_true(number_at(json_object_get(json_object_get(j, "fits"), "near_field"), "slope", NULL) < 0);
+    json_t *fit = json_object_get(json_object_get(j, "fits"), "near_field");
+    assert_true(number_at(json_object_get(fit, "over_photons"), "slope", NULL) < 0);
+    assert_true(number_at(json_object_get(fit, "over_time"), "confidence_95", NULL) > 0);
+    /* Plain bins: another verdict of the same box, of photons alone; rays traced backwards: only in the last four. */
+    for (size_t i = 0; i < 16; ++i) {
+        json_t *r = json_array_get(rungs, i),
+               *plain = json_object_get(json_object_get(json_object_get(r, "plain_bins"), "near_field"), "rms");
+        assert_string_equal(json_string_value(json_object_get(r, "ladder")), i < 8 ? "photons" : i < 12 ? "cells" : "combined");
+        assert_true(i < 12 ? json_is_number(plain) : json_is_null(plain));
+        assert_true(i >= 12 || json_number_value(plain) != number_at(json_object_get(r, "near_field"), "rms", NULL));
+        assert_int_equal(number_at(r, "gathered_rays", NULL) > 0, i >= 12);
+        assert_int_equal(number_at(r, "gather_s", NULL) > 0, i >= 12);
+    }
+    assert_true(json_is_null(json_object_get(j, "combined_why")));
     const double share = number_at(j, "deposit_share", NULL);
     assert_true(share >= 0 && share < 1);
     json_t *advice = json_object_get(j, "advice");

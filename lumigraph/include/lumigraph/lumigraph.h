@@ -276,6 +276,11 @@ LMG_API size_t lmg_field_memory(const lmg_field *field); /* bytes held */
 /* Flux stored in one slab: lumens, with its standard error, that of a share of the ledger's photons. */
 LMG_API double lmg_field_slab_flux(const lmg_field *field, uint32_t slab, double *standard_error);
 
+/* Makes radiance constant within each cell, the plain bins of a histogram, for comparisons: every cell's mean, and so every flux, stays, and
+ * NEAREST, emission, sampling, illuminance and intensity read cells so.  Files hold no slopes: a field that is written and read has them
+ * again.  Needs the caller's lock. */
+LMG_API void lmg_field_make_constant(lmg_field *field);
+
 /* Provenance and remarks: UTF-8 text by name ("model", "seed", "effects", ...), kept in the file.  set copies; value NULL removes.
  * get returns NULL when absent, storage of the field.  name: 1..63 of [A-Za-z0-9_.-]. */
 LMG_API lmg_result lmg_field_set_text(lmg_field *field, const char *name, const char *value, lmg_error *err);
