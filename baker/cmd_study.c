@@ -116,10 +116,11 @@ static json_t *study_json(const command *c, const study *s)
         const study_rung *r = &s->rungs[i];
         json_t *planes = json_array(), *plain = json_object();
         json_t *j =
-            json_pack("{s:s, s:I, s:I, s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:o}", "ladder", study_ladder_name(r->ladder), "photons",
-                      (json_int_t)r->photons, "gathered_rays", (json_int_t)r->gathered_rays, "cells", (json_int_t)r->cells, "bytes",
-                      (json_int_t)r->bytes, "pilot_s", r->pilot_seconds, "trace_s", r->trace_seconds, "gather_s", r->gather_seconds,
-                      "reconstruct_s", r->reconstruct_seconds, "write_s", r->write_seconds, "noise", json_number(r->noise));
+            json_pack("{s:s, s:I, s:I, s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:f, s:o}", "ladder", study_ladder_name(r->ladder),
+                      "photons", (json_int_t)r->photons, "gathered_rays", (json_int_t)r->gathered_rays, "cells",
+                      (json_int_t)r->cells, "bytes", (json_int_t)r->bytes, "pilot_s", r->pilot_seconds, "trace_s", r->trace_seconds,
+                      "gather_s", r->gather_seconds, "reconstruct_s", r->reconstruct_seconds, "write_s", r->write_seconds,
+                      "processor_s", r->processor_seconds, "noise", json_number(r->noise));
         for (int k = 0; k < JUDGE_DISTANCES; ++k)
             json_array_append_new(planes, error_json(r->verdict.planes[k]));
         json_object_set_new(j, "planes", planes);

@@ -10,6 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
 static const double TARGETS[STUDY_TARGETS] = {0.05, 0.02, 0.01, 0.005};
@@ -60,6 +61,13 @@ static judge_verdict no_verdict(void)
     return v;
 }
 
+static double processor_clock(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
 static lmg_result bake_rung(ladder *l, study_ladder kind, uint64_t photons, uint64_t cells, lmg_error *err)
 {
     study *s = l->out;
@@ -73,6 +81,7 @@ static lmg_result bake_rung(ladder *l, study_ladder kind, uint64_t photons, uint
                                   .fit = {.cells = cells}};
     lmg_field *field;
     bake_report report;
+    const double processor_began = processor_clock();
     lmg_result result = bake_run(l->model, &options, &field, &report, err);
     if (result != LMG_OK)
         return result;
@@ -90,6 +99,7 @@ static lmg_result bake_rung(ladder *l, study_ladder kind, uint64_t photons, uint
     const double began = bake_clock();
     result = lmg_field_write_rounded(field, l->path, BAKE_ROUNDING, NULL, err);
     rung->write_seconds = bake_clock() - began;
+    rung->processor_seconds = processor_clock() - processor_began;
     struct stat status = {0};
     if (result == LMG_OK && stat(l->path, &status) == 0)
         rung->bytes = (uint64_t)status.st_size;
@@ -167,7 +177,7 @@ static study_fit fit_ladder(const study *s, judge_measure m)
         const double se = hypot(2 * fabs(e.rms) * e.standard_error, 0.1 * fabs(y)), w = se > 0 ? 1 / (se * se) : 0;
         w0 += w, wx += w * x, wxx += w * x * x, wy += w * y, wxy += w * x * y;
         photons[count] = (double)r->photons;
-        seconds[count] = study_rung_seconds(r);
+        seconds[count] = r->processor_seconds;
         error[count++] = e.rms;
     }
     study_fit f = {.scale = NAN, .floor = NAN};

@@ -23,6 +23,7 @@ typedef struct study_rung {
     uint64_t cells_asked;
     uint64_t gathered_rays; /* traced backwards */
     double pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds, write_seconds;
+    double processor_seconds; /* of the same, all threads together: what a busy machine doesn't change */
     judge_verdict verdict;
     judge_verdict plain; /* of the same box read as plain bins (lmg_field_make_constant); STUDY_COMBINED: not judged, NAN */
     double noise;        /* what the bake itself said: bake_report.noise */
@@ -34,7 +35,7 @@ double study_rung_seconds(const study_rung *rung);
 /* error^2 = scale / photons + floor^2, fitted to the ladder of photons, and slopes of log(error). */
 typedef struct study_fit {
     double scale, floor;
-    report_slope over_photons, over_seconds;
+    report_slope over_photons, over_seconds; /* of processors */
 } study_fit;
 
 /* The cheapest command that reaches a target of the near-field error. */

@@ -54,6 +54,11 @@ static double cells_of(const study_rung *r)
     return (double)r->cells;
 }
 
+static double processor_seconds_of(const study_rung *r)
+{
+    return r->processor_seconds;
+}
+
 static double megabytes_of(const study_rung *r)
 {
     return 1e-6 * (double)r->bytes;
@@ -71,17 +76,18 @@ static void add_rungs(report_page *page, const study *s)
     report_page_text(page, "Errors are relative RMS differences from the lamp's own light in %%, the noise of judging taken out; a "
                            "negative one is all noise. "
                            "Near: the RMS of five planes at 0.5, 1, 2, 5 and 10 sizes.");
-    report_page_table(page, "ladder\tphotons\tcells\tseconds\tMB\tnear\t0.5\t1\t2\t5\t10 sizes\tfar field\tluminance\tnoise, by "
-                            "the bake\tnear, plain bins");
+    report_page_table(
+        page, "ladder\tphotons\tcells\tseconds\tprocessor s\tMB\tnear\t0.5\t1\t2\t5\t10 sizes\tfar field\tluminance\tnoise, by "
+              "the bake\tnear, plain bins");
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
         char near[48], far[48], luminance[48], plain[48];
-        report_page_row(page, "%s\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%.3g\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%s\t%.3g\t%s",
-                        study_ladder_name(r->ladder), (double)r->photons, (double)r->cells, study_rung_seconds(r), megabytes_of(r),
-                        percent(near, r->verdict.error[JUDGE_NEAR]), 100 * r->verdict.planes[0].rms, 100 * r->verdict.planes[1].rms,
-                        100 * r->verdict.planes[2].rms, 100 * r->verdict.planes[3].rms, 100 * r->verdict.planes[4].rms,
-                        percent(far, r->verdict.error[JUDGE_FAR]), percent(luminance, r->verdict.error[JUDGE_LUMINANCE]),
-                        100 * r->noise,
+        report_page_row(page, "%s\t%.3g\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%.3g\t%.3g\t%.3g\t%.3g\t%.3g\t%s\t%s\t%.3g\t%s",
+                        study_ladder_name(r->ladder), (double)r->photons, (double)r->cells, study_rung_seconds(r),
+                        r->processor_seconds, megabytes_of(r), percent(near, r->verdict.error[JUDGE_NEAR]),
+                        100 * r->verdict.planes[0].rms, 100 * r->verdict.planes[1].rms, 100 * r->verdict.planes[2].rms,
+                        100 * r->verdict.planes[3].rms, 100 * r->verdict.planes[4].rms, percent(far, r->verdict.error[JUDGE_FAR]),
+                        percent(luminance, r->verdict.error[JUDGE_LUMINANCE]), 100 * r->noise,
                         isfinite(r->plain.error[JUDGE_NEAR].rms) ? percent(plain, r->plain.error[JUDGE_NEAR]) : "\u2013");
     }
     report_page_table_end(page);
@@ -89,8 +95,9 @@ static void add_rungs(report_page *page, const study *s)
 
 static void add_fits(report_page *page, const study *s)
 {
-    report_page_table(page, "measure\tslope of log error over log photons\tover log seconds\tfloor, %\tnoise of 10\u2076 photons, "
-                            "%\tnoise of the reference, %");
+    report_page_table(
+        page, "measure\tslope of log error over log photons\tover log processor seconds\tfloor, %\tnoise of 10\u2076 photons, "
+              "%\tnoise of the reference, %");
     for (int m = 0; m < JUDGE_MEASURES; ++m) {
         const study_fit *f = &s->fit[m];
         report_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3f \u00b1 %.3f\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m),
@@ -151,11 +158,11 @@ static void add_methods(report_page *page, const study *s)
                      "Combined: photons and as many rays traced backwards into the lamp (bake --gather 1) as photons leave it.");
     add_curves(page, s, COMBINED, MOST_CURVES,
                &(report_axes){.title = "Photons only and combined",
-                              .x = "seconds, all in",
+                              .x = "processor seconds, all in",
                               .y = "relative RMS error, %",
                               .log_x = true,
                               .log_y = true},
-               study_rung_seconds);
+               processor_seconds_of);
 }
 
 static void add_money(report_page *page, const study *s)
@@ -194,11 +201,11 @@ lmg_result study_report(const study *s, const char *lamp, const char *path, lmg_
     report_page_heading(page, "Error against time");
     add_errors(page, s, STUDY_PHOTONS,
                &(report_axes){.title = "Rising numbers of photons, 4 million cells asked for",
-                              .x = "seconds, all in",
+                              .x = "processor seconds, all in",
                               .y = "relative RMS error, %",
                               .log_x = true,
                               .log_y = true},
-               study_rung_seconds);
+               processor_seconds_of);
     add_fits(page, s);
     report_page_heading(page, "Error against resolution and size");
     add_errors(page, s, STUDY_CELLS,
