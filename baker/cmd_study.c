@@ -138,9 +138,11 @@ static json_t *study_json(const command *c, const study *s)
                                       slope_json(s->fit[m].over_seconds), "reference_noise", json_number(s->reference_noise[m])));
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         const study_advice *a = &s->advice[t];
-        json_array_append_new(advice, json_pack("{s:f, s:b, s:I, s:I, s:f, s:f}", "target", a->target, "reachable", a->reachable, "photons",
-                                                (json_int_t)a->photons, "cells", (json_int_t)a->cells, "seconds", a->seconds, "bytes",
-                                                a->bytes));
+        char line[1024];
+        json_t *text = a->reachable ? json_string(study_command(a, c->lamp.path, line, sizeof(line))) : json_null();
+        json_array_append_new(advice, json_pack("{s:o, s:f, s:b, s:I, s:I, s:f, s:f}", "command", text, "target", a->target,
+                                                "reachable", a->reachable, "photons", (json_int_t)a->photons, "cells",
+                                                (json_int_t)a->cells, "seconds", a->seconds, "bytes", a->bytes));
     }
     return json_pack("{s:s, s:s, s:f, s:I, s:f, s:f, s:o, s:o, s:o, s:o}", "format", "lumibake study 2", "lamp", c->lamp.path,
                      "size_m", s->size, "reference_photons", (json_int_t)s->reference_photons, "photons_per_second",
@@ -162,8 +164,9 @@ static void print_study(const command *c, const study *s)
     printf("depositing takes %.0f %% of tracing\n", 100 * s->deposit_share);
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         const study_advice *a = &s->advice[t];
+        char line[1024];
         if (a->reachable)
-            printf("%4g %%: --photons %.2g --cells %.3g, about %.2g s and %.2g MB\n", 100 * a->target, (double)a->photons, (double)a->cells,
+            printf("%4g %%: %s, about %.2g s and %.2g MB\n", 100 * a->target, study_command(a, c->lamp.path, line, sizeof(line)),
                    a->seconds, 1e-6 * a->bytes);
         else
             printf("%4g %%: not reached by any number of cells tried\n", 100 * a->target);

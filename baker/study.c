@@ -227,6 +227,14 @@ static void give_advice(study *s)
     }
 }
 
+const char *study_command(const study_advice *a, const char *lamp, char *text, size_t size)
+{
+    const char *slash = strrchr(lamp, '/'), *name = slash ? slash + 1 : lamp, *dot = strrchr(name, '.');
+    snprintf(text, size, "lumibake bake %s --photons %.2g --cells %.3g -o %.*s.box.exr", lamp, (double)a->photons, (double)a->cells,
+             (int)(dot && dot > name ? dot - name : (long)strlen(name)), name);
+    return text;
+}
+
 /* ----------------------------------------------------------------------------------------------------------------- run */
 
 /* Measures the lamp; rates come from a trial: photons per second of the lamp with all receivers, and of bakes. */

@@ -115,9 +115,10 @@ static void add_advice(report_page *page, const study *s, const char *lamp)
     report_page_table(page, "near-field error\tcommand\tseconds, about\tMB, about");
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         const study_advice *a = &s->advice[t];
+        char command[1024];
         if (a->reachable)
-            report_page_row(page, "%g %%\tlumibake bake %s --photons %.2g --cells %.3g\t%.2g\t%.2g", 100 * a->target, lamp,
-                            (double)a->photons, (double)a->cells, a->seconds, 1e-6 * a->bytes);
+            report_page_row(page, "%g %%\t%s\t%.2g\t%.2g", 100 * a->target, study_command(a, lamp, command, sizeof(command)),
+                            a->seconds, 1e-6 * a->bytes);
         else
             report_page_row(page, "%g %%\tnot reached by any number of cells tried\t\u2013\t\u2013", 100 * a->target);
     }
