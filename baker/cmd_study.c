@@ -155,10 +155,12 @@ static void print_study(const command *c, const study *s)
     printf("%s: judged by %.3g rays of its own, size %.4g m\n%s", c->lamp.path, (double)s->reference_photons, s->size, HEAD);
     for (size_t i = 0; i < s->rung_count; ++i)
         print_rung(stdout, &s->rungs[i]);
-    for (int m = 0; m < JUDGE_MEASURES; ++m)
-        printf("%-24s slope over photons %.3f +- %.3f, over time %.3f +- %.3f (95 %%), floor %.2f %%\n",
-               judge_measure_name((judge_measure)m), s->fit[m].over_photons.slope, s->fit[m].over_photons.confidence,
-               s->fit[m].over_seconds.slope, s->fit[m].over_seconds.confidence, 100 * s->fit[m].floor);
+    for (int m = 0; m < JUDGE_MEASURES; ++m) {
+        char photons[64], seconds[64];
+        printf("%-24s slope over photons %s, over time %s (95 %%), floor %.2f %%\n", judge_measure_name((judge_measure)m),
+               report_slope_text(s->fit[m].over_photons, "+-", photons), report_slope_text(s->fit[m].over_seconds, "+-", seconds),
+               100 * s->fit[m].floor);
+    }
     if (s->combined_why[0])
         printf("no ladder of photons and rays traced backwards: %s\n", s->combined_why);
     printf("depositing takes %.0f %% of tracing\n", 100 * s->deposit_share);

@@ -100,9 +100,11 @@ static void add_fits(report_page *page, const study *s)
               "%\tnoise of the reference, %");
     for (int m = 0; m < JUDGE_MEASURES; ++m) {
         const study_fit *f = &s->fit[m];
-        report_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3f \u00b1 %.3f\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m),
-                        f->over_photons.slope, f->over_photons.confidence, f->over_seconds.slope, f->over_seconds.confidence,
-                        100 * f->floor, 100 * sqrt(f->scale / 1e6), 100 * s->reference_noise[m]);
+        char photons[64], seconds[64];
+        report_page_row(page, "%s\t%s\t%s\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m),
+                        report_slope_text(f->over_photons, "\u00b1", photons),
+                        report_slope_text(f->over_seconds, "\u00b1", seconds), 100 * f->floor, 100 * sqrt(f->scale / 1e6),
+                        100 * s->reference_noise[m]);
     }
     report_page_table_end(page);
     report_page_text(page, "Slopes with what they are within at 95 %% confidence; noise alone has -0.5. Fit: error\u00b2 = scale / "

@@ -3,6 +3,7 @@
 #include "power_law.h"
 
 #include <math.h>
+#include <stdio.h>
 
 /* Student's t at 97.5 %, by degrees of freedom; beyond the table within 0.1 % of 1.96 + 2.46 / n. */
 static double student(size_t freedom)
@@ -47,4 +48,13 @@ report_slope report_slope_fit(const double *x, const double *y, size_t count)
         f.confidence = student(f.points - 2) * f.standard_error;
     }
     return f;
+}
+
+const char *report_slope_text(report_slope f, const char *sign, char text[64])
+{
+    if (isfinite(f.slope) && isfinite(f.confidence))
+        snprintf(text, 64, "%.3f %s %.3f", f.slope, sign, f.confidence);
+    else
+        snprintf(text, 64, "-");
+    return text;
 }

@@ -17,4 +17,7 @@ typedef struct report_slope {
  * them, or all at one x, make everything but points NAN. */
 report_slope report_slope_fit(const double *x, const double *y, size_t count);
 
+/* "-0.501 +- 0.020": the slope and its confidence, sign between them; "-" when there is none.  Returns text. */
+const char *report_slope_text(report_slope f, const char *sign, char text[64]);
+
 #endif

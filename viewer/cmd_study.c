@@ -33,7 +33,7 @@ static void print_help(void)
         "  --light, --lamp, --recipe, --set, --flux   what lights it, as in render; the boxes light one room, the lamps the other\n"
         "  -o FILE.html    the study as one page with plots (needs gnuplot)\n"
         "  --time T        of the whole study, about: 90s, 5min (default)\n"
-        "  --spp N         instead: up to N samples per pixel by both; the reference has 32 N\n"
+        "  --spp N         instead: up to N samples per pixel by both; the reference has 16 N\n"
         "  --runs N        pictures of each kind (default 8, at least 3)\n"
         "  --block N       errors are those of the mean luminance of N x N pixels (default 8)\n"
         "  --size WxH      pixels (default 96x72)\n"
@@ -75,7 +75,7 @@ static int read_options(int argc, char **argv, settings *s)
             break;
         case SPP:
             good = read_count(optarg, UINT32_MAX / VIEW_STUDY_REFERENCE, &s->samples) && s->samples > 0;
-            wanted = "a whole number, at least 1 and at most 134217727";
+            wanted = "a whole number, at least 1 and at most 268435455";
             break;
         case RUNS:
             good = read_count(optarg, VIEW_STUDY_MAX_RUNS, &s->runs) && s->runs >= 3;
@@ -218,11 +218,12 @@ static void print_study(const settings *s, const view_study *study)
     }
     for (int m = 0; m < VIEW_STUDY_METHODS; m++) {
         const view_study_result *r = &study->of[m];
-        printf("%-9s slope over time %.3f +- %.3f, over samples %.3f +- %.3f, of the median block %.3f +- %.3f (95 %%); error^2 x "
-               "time %.3g +- %.2g s, median block %.3g s\n",
-               view_study_method_name((view_study_method)m), r->over_seconds.slope, r->over_seconds.confidence,
-               r->over_samples.slope, r->over_samples.confidence, r->median_over_seconds.slope, r->median_over_seconds.confidence,
-               r->cost, r->cost_se, r->cost_median);
+        char time[64], samples[64], median[64];
+        printf("%-9s slope over time %s, over samples %s, of the median block %s (95 %%); error^2 x time %.3g +- %.2g s, median "
+               "block %.3g s\n",
+               view_study_method_name((view_study_method)m), report_slope_text(r->over_seconds, "+-", time),
+               report_slope_text(r->over_samples, "+-", samples), report_slope_text(r->median_over_seconds, "+-", median), r->cost,
+               r->cost_se, r->cost_median);
     }
     printf("converged pictures differ by %.3g +- %.2g %%\n", 100 * study->difference.rms, 100 * study->difference.standard_error);
     printf("time of geometry over box at equal error: %.3g +- %.2g, %.3g by the median block\n", study->ratio, study->ratio_se,

@@ -79,7 +79,7 @@ typedef struct view_study_options {
 } view_study_options;
 
 /* The reference's samples over those of the box's highest rung: its noise then is that of the rung over the root of this. */
-enum { VIEW_STUDY_REFERENCE = 32 };
+enum { VIEW_STUDY_REFERENCE = 16 };
 
 /* boxed and built: the room lit by boxes and by the lamps' geometry, both finished; camera: of boxed.  Errors: LMG_ERROR_ARGUMENT
  * (options); LMG_ERROR_INPUT when boxed has no box or built no lamp, nothing is left to compare, or the study is stopped before

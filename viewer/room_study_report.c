@@ -46,10 +46,10 @@ static void add_fits(report_page *page, const view_study *s)
         page, "lit by\tslope over time\tover samples\tof the median block over time\terror\u00b2 x time, s\tmedian block, s");
     for (int m = 0; m < VIEW_STUDY_METHODS; m++) {
         const view_study_result *r = &s->of[m];
-        report_page_row(page, "%s\t%.3f \u00b1 %.3f\t%.3f \u00b1 %.3f\t%.3f \u00b1 %.3f\t%.3g \u00b1 %.2g\t%.3g",
-                        view_study_method_name((view_study_method)m), r->over_seconds.slope, r->over_seconds.confidence,
-                        r->over_samples.slope, r->over_samples.confidence, r->median_over_seconds.slope,
-                        r->median_over_seconds.confidence, r->cost, r->cost_se, r->cost_median);
+        char time[64], samples[64], median[64];
+        report_page_row(page, "%s\t%s\t%s\t%s\t%.3g \u00b1 %.2g\t%.3g", view_study_method_name((view_study_method)m),
+                        report_slope_text(r->over_seconds, "\u00b1", time), report_slope_text(r->over_samples, "\u00b1", samples),
+                        report_slope_text(r->median_over_seconds, "\u00b1", median), r->cost, r->cost_se, r->cost_median);
     }
     report_page_table_end(page);
     report_page_text(page, "Slopes are of log(error), by regression, with what they are within at 95 %% confidence; noise alone "

@@ -49,6 +49,9 @@ static void scattered_power_law(void **state)
     assert_true(fabs(f.slope - (-0.513715270297)) < 1e-9);
     assert_true(fabs(f.standard_error - 0.030230108389) < 1e-9);
     assert_true(fabs(f.confidence / f.standard_error - 3.182) < 1e-9);
+    char text[64];
+    assert_string_equal(report_slope_text((report_slope){.slope = -0.5, .confidence = 0.0625}, "+-", text), "-0.500 +- 0.062");
+    assert_string_equal(report_slope_text(report_slope_fit(X, Y, 2), "+-", text), "-");
 }
 
 static void page_escapes(void **state)
