@@ -202,7 +202,7 @@ static json_t *study_json(const settings *s, const view_study *study)
                      (json_int_t)study->dark_blocks, "runs", (json_int_t)study->runs, "seed", (json_int_t)s->scene.seed,
                      "reference", reference, "box", result_json(study, &study->of[VIEW_STUDY_BOX]), "geometry",
                      result_json(study, &study->of[VIEW_STUDY_GEOMETRY]), "time_ratio_at_equal_error", ratio,
-                     "difference_of_converged_pictures", difference);
+                     "difference_beyond_spread", difference);
 }
 
 static void print_study(const settings *s, const view_study *study)
@@ -225,7 +225,8 @@ static void print_study(const settings *s, const view_study *study)
                report_slope_text(r->over_samples, "+-", samples), report_slope_text(r->median_over_seconds, "+-", median), r->cost,
                r->cost_se, r->cost_median);
     }
-    printf("converged pictures differ by %.3g +- %.2g %%\n", 100 * study->difference.rms, 100 * study->difference.standard_error);
+    printf("all pictures by the geometry together differ from the reference by %.3g +- %.2g %% beyond their spread\n",
+           100 * study->difference.rms, 100 * study->difference.standard_error);
     printf("time of geometry over box at equal error: %.3g +- %.2g, %.3g by the median block\n", study->ratio, study->ratio_se,
            study->ratio_median);
 }

@@ -8,10 +8,10 @@
 #include <time.h>
 
 /* Shares of the study's time; the rest is the geometry's. */
-static const double BOX_SHARE = 0.5;
-/* How long a trial of a method's speed takes, seconds, and the samples that it ends at. */
-static const double TRIAL_SECONDS = 0.2;
-enum { TRIAL_MOST = 64 };
+static const double BOX_SHARE = 0.4;
+/* How long a trial of a method's speed takes, seconds but no more than a share of the time, and the samples that it ends at. */
+static const double TRIAL_SECONDS = 1, TRIAL_SHARE = 0.02;
+enum { TRIAL_MOST = 1024 };
 /* Samples of the highest rung, at least, however short the time: three rungs. */
 enum { LEAST_SAMPLES = 4 };
 /* Blocks that are darker than the picture's mean times this are left out: nobody sees what goes on there. */
@@ -220,7 +220,7 @@ static void finish_rung(ladder *l, view_study_method m, size_t k)
     rung->error = root_of(square, se);
 }
 
-/* The squared difference of the converged pictures, from all runs but one (without; no run: runs): the square of the geometry's
+/* The squared difference of the geometry from the reference, from all runs but one (without; no run: runs): the square of the
  * mean over all its pictures, less what noise makes of that. */
 static double squared_difference(const ladder *l, uint32_t without)
 {
@@ -255,14 +255,13 @@ static double cost_of(const ladder *l, view_study_method m, uint32_t without)
 {
     const view_study_result *r = &l->out->of[m];
     const double runs = l->out->runs - (without < l->out->runs);
-    const double known = m == VIEW_STUDY_GEOMETRY ? squared_difference(l, without) : 0;
     double sum = 0, weights = 0;
     for (size_t k = 0; k < r->rung_count; k++) {
         double square = 0;
         for (uint32_t i = 0; i < l->out->runs; i++) {
             square += i == without ? 0 : r->rungs[k].run[i] / runs;
         }
-        sum += r->rungs[k].samples * (square - known) * r->rungs[k].seconds;
+        sum += r->rungs[k].samples * square * r->rungs[k].seconds;
         weights += r->rungs[k].samples;
     }
     return sum / weights;
@@ -337,13 +336,6 @@ static void finish_study(const ladder *l)
     s->difference = root_of(squared_difference(l, s->runs), jackknife(l, VIEW_STUDY_GEOMETRY, difference_of));
 }
 
-double view_study_seconds(const view_study *s, view_study_method method, double error)
-{
-    /* What the box can't tell from the geometry is the geometry's to know: the box's pictures end there. */
-    const double floor = method == VIEW_STUDY_BOX ? fmax(0, s->difference.rms) : 0, room = error * error - floor * floor;
-    return room > 0 ? s->of[method].cost / room : (double)INFINITY;
-}
-
 /* ------------------------------------------------------------------------------------------------------------------ run */
 
 static double now(void)
@@ -361,7 +353,7 @@ static lmg_result try_speed(const ladder *l, view_study_method m, double *per_sa
         const double began = now();
         lmg_result r = render_blocks(l, m, samples, seed_of(l, SEED_TRIAL, m), l->scratch, &unused, err);
         const double took = now() - began;
-        if (r != LMG_OK || took > TRIAL_SECONDS || samples >= TRIAL_MOST || stopped(l)) {
+        if (r != LMG_OK || took > fmin(TRIAL_SECONDS, TRIAL_SHARE * l->options->seconds) || samples >= TRIAL_MOST || stopped(l)) {
             *per_sample = took / samples;
             return r;
         }

@@ -9,8 +9,10 @@
  * reference is lit by the boxes, whose noise is the lesser one; it is made in two halves, whose difference is its own noise, which
  * is taken out.  Blocks that show the lamp itself or next to nothing are left out.
  *
- * What the converged pictures of the two differ by (the bake's error, the blur of cells, the lamp's body in the room) is no noise.
- * It is a part of the geometry's errors as measured; time at equal error is told with it taken out.
+ * The geometry's errors have two parts that no picture of its own can tell apart: light that it hasn't found yet, and what the box
+ * itself is off by (its bake's error, the blur of its cells, the lamp's body in the room).  Both count as its error.  Where its
+ * errors fall as noise does, with the slope -1/2, the second part is small; where they are flat the first is all there is, and the
+ * ratio of times a lower bound.
  */
 #ifndef VIEWER_ROOM_STUDY_H
 #define VIEWER_ROOM_STUDY_H
@@ -45,9 +47,8 @@ typedef struct view_study_result {
     view_study_rung rungs[VIEW_STUDY_MAX_RUNGS];
     report_slope over_seconds, over_samples; /* of log error, ... */
     report_slope median_over_seconds;        /* ... and of its median over blocks */
-    double cost, cost_se; /* squared error x processor seconds, what the converged pictures differ by taken out; rungs weighted with
-                             samples */
-    double cost_median;   /* the same for the median over blocks, nothing taken out */
+    double cost, cost_se;                    /* squared error x processor seconds; rungs weighted with samples */
+    double cost_median;                      /* the same for the median over blocks */
 } view_study_result;
 
 typedef struct view_study {
@@ -60,7 +61,8 @@ typedef struct view_study {
     view_study_result of[VIEW_STUDY_METHODS];
     double ratio, ratio_se; /* time of geometry over that of the box at equal error */
     double ratio_median;
-    view_study_error difference; /* of the converged pictures; the noise of both taken out */
+    view_study_error difference; /* of the mean of all pictures by the geometry from the reference, beyond what their spread and the
+                                    reference's noise explain: the two parts (above) together */
 } view_study;
 
 typedef struct view_study_options {
@@ -86,10 +88,6 @@ enum { VIEW_STUDY_REFERENCE = 16 };
  * each method has a rung; LMG_ERROR_MEMORY. */
 lmg_result view_study_run(const view_scene *boxed, const view_scene *built, const view_camera *camera,
                           const view_study_options *options, view_study *out, lmg_error *err);
-
-/* Processor seconds until a relative error is reached by a picture; for the box INFINITY when the converged pictures differ by
- * more. */
-double view_study_seconds(const view_study *s, view_study_method method, double error);
 
 /* Writes the study as one HTML file; room: what the room is called in it, lights: what lights it (a box and a lamp, say). */
 lmg_result view_study_report(const view_study *s, const char *room, const char *lights, const char *path, lmg_error *err);

@@ -313,7 +313,7 @@ static void studies_a_room(void **state)
     const double ratio = number_at(json_array_get(all[0], 5), NULL, "rms") / number_at(reference, NULL, "noise");
     assert_true(ratio > 4 / 1.6 && ratio < 4 * 1.6);
     /* The box is the panel's light to a few per mille; nothing that is hard to find makes either the slower one by far. */
-    const double difference = number_at(o, "difference_of_converged_pictures", "rms"),
+    const double difference = number_at(o, "difference_beyond_spread", "rms"),
                  time = number_at(o, "time_ratio_at_equal_error", "mean");
     print_message("difference %.3g %%, time ratio %.3g\n", 100 * difference, time);
     assert_true(fabs(difference) < 0.03 && time > 0.1 && time < 10);
