@@ -127,14 +127,10 @@ static void enclosed_volumes(const lum_model *model, double *volume)
 {
     for (uint32_t i = 0; i < model->triangle_count; ++i) {
         const uint32_t *corner = model->indices + 3 * (size_t)i;
-        const float *a = model->positions + 3 * (size_t)corner[0], *b = model->positions + 3 * (size_t)corner[1];
-        const float *c = model->positions + 3 * (size_t)corner[2];
-        double six = 0;
-        for (int k = 0; k < 3; ++k) {
-            const int l = (k + 1) % 3, m = (k + 2) % 3;
-            six += (double)a[k] * ((double)b[l] * (double)c[m] - (double)b[m] * (double)c[l]);
-        }
-        volume[model->triangle_material[i]] += six / 6;
+        const lmg_vec3 a = lum_model_vertex(model, corner[0]), b = lum_model_vertex(model, corner[1]);
+        const lmg_vec3 c = lum_model_vertex(model, corner[2]);
+        volume[model->triangle_material[i]] +=
+            (a.x * (b.y * c.z - c.y * b.z) + a.y * (b.z * c.x - c.z * b.x) + a.z * (b.x * c.y - c.x * b.y)) / 6;
     }
 }
 
@@ -234,7 +230,7 @@ static lmg_result find_clearance(tracer *t, const tracer *like, lmg_error *err)
         double p[3][3];
         for (int k = 0; k < 3; ++k) {
             for (int c = 0; c < 3; ++c)
-                p[k][c] = (double)m->positions[3 * (size_t)m->indices[3 * (size_t)i + (size_t)k] + (size_t)c];
+                p[k][c] = m->unit * (double)m->positions[3 * (size_t)m->indices[3 * (size_t)i + (size_t)k] + (size_t)c];
             low = (lmg_vec3){fmin(low.x, p[k][0]), fmin(low.y, p[k][1]), fmin(low.z, p[k][2])};
             high = (lmg_vec3){fmax(high.x, p[k][0]), fmax(high.y, p[k][1]), fmax(high.z, p[k][2])};
         }

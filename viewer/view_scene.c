@@ -299,7 +299,7 @@ static lmg_result join_volumes(view_scene *scene, lmg_error *err)
 {
     lum_volumes_destroy(scene->volumes);
     scene->volumes = NULL;
-    lum_model all = {.path = "the scene"};
+    lum_model all = {.path = "the scene", .unit = 1};
     for (uint32_t i = 0; i < scene->object_count; i++) {
         all.volume_count += scene->objects[i].model->volume_count;
     }

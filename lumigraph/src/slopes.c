@@ -83,10 +83,11 @@ static void centroids(const lmg_slab *slab, float (*out)[2])
         }
 }
 
-/* Two slopes, scaled so that reach[0] |g[0]| + reach[1] |g[1]| stays below one, in 127ths. */
+/* Two slopes, scaled so that reach[0] |g[0]| + reach[1] |g[1]| stays below one, in 127ths.  Between two of them lie exactly the slopes
+ * of many a cell with few photons: they go to the larger one, whichever way radiance, a float, has been rounded at the lamp's scale. */
 static inline void limited(double g0, double g1, double reach0, double reach1, int8_t out[2])
 {
-    double scale = 127 * LIMIT / d_max(reach0 * fabs(g0) + reach1 * fabs(g1), LIMIT);
+    double scale = (1 + 0x1p-20) * 127 * LIMIT / d_max(reach0 * fabs(g0) + reach1 * fabs(g1), LIMIT);
     out[0] = (int8_t)lrint(scale * g0);
     out[1] = (int8_t)lrint(scale * g1);
 }

@@ -3,7 +3,7 @@
  * Where short ways meet nothing.  Space is cut in cubic cells; each knows the surfaces near it, in layers: all triangles of about
  * one direction between two parallel planes (one plane, if they are flat).  A way that starts in the cell, ends near it and has
  * both ends on one side of every layer meets none of the triangles.  Cells with too many layers say nothing.  Relies on
- * scene_data.h.
+ * scene_data.h.  Inside, lengths are in the scene's unit.
  */
 #include <luminaires/scene.h>
 
@@ -34,7 +34,8 @@ typedef struct layer {
 } layer;
 
 struct lum_clearance {
-    double low[3], per_metre, beyond; /* beyond: in cells */
+    double per_unit;                  /* 1 / the scene's unit in metres */
+    double low[3], per_length, beyond; /* beyond: in cells */
     double start, end;                /* distances that ends keep from layers */
     uint32_t size[3];
     uint32_t *cells;
@@ -53,8 +54,8 @@ static bool cells_near(const lum_clearance *c, const lum_triangle *t, uint32_t f
 {
     for (int k = 0; k < 3; k++) {
         const double a = (double)t->v[0][k], b = (double)t->v[1][k], d = (double)t->v[2][k];
-        const double first = floor((fmin(a, fmin(b, d)) - c->low[k]) * c->per_metre - c->beyond) - 1;
-        const double last = floor((fmax(a, fmax(b, d)) - c->low[k]) * c->per_metre + c->beyond) + 1;
+        const double first = floor((fmin(a, fmin(b, d)) - c->low[k]) * c->per_length - c->beyond) - 1;
+        const double last = floor((fmax(a, fmax(b, d)) - c->low[k]) * c->per_length + c->beyond) + 1;
         if (last < 0 || first >= (double)c->size[k]) {
             return false;
         }
@@ -131,7 +132,7 @@ static bool tell_cells(growing *g, const lum_triangle *t)
     if (!cells_near(c, t, from, to)) {
         return true;
     }
-    const double reach = (0.5 + c->beyond) / c->per_metre, radius = sqrt(3) * reach;
+    const double reach = (0.5 + c->beyond) / c->per_length, radius = sqrt(3) * reach;
     const lmg_vec3 a = vec_from_float(t->v[0]),
                    cross = vec_cross(vec_sub(vec_from_float(t->v[1]), a), vec_sub(vec_from_float(t->v[2]), a));
     const double length = vec_length(cross);
@@ -140,8 +141,8 @@ static bool tell_cells(growing *g, const lum_triangle *t)
         for (uint32_t y = from[1]; y <= to[1]; y++) {
             for (uint32_t x = from[0]; x <= to[0]; x++) {
                 uint32_t *at = &c->cells[((size_t)z * c->size[1] + y) * c->size[0] + x];
-                const lmg_vec3 centre = {c->low[0] + (x + 0.5) / c->per_metre, c->low[1] + (y + 0.5) / c->per_metre,
-                                         c->low[2] + (z + 0.5) / c->per_metre};
+                const lmg_vec3 centre = {c->low[0] + (x + 0.5) / c->per_length, c->low[1] + (y + 0.5) / c->per_length,
+                                         c->low[2] + (z + 0.5) / c->per_length};
                 const double height = fabs(vec_dot(normal, vec_sub(centre, a)));
                 if ((*at & SILENT) == SILENT || height > reach * (fabs(normal.x) + fabs(normal.y) + fabs(normal.z)) + c->end) {
                     continue;
@@ -196,6 +197,10 @@ lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 h
                                 lum_clearance **out, lmg_error *err)
 {
     *out = NULL;
+    low = vec_scale(low, scene->per_unit);
+    high = vec_scale(high, scene->per_unit);
+    thickness *= scene->per_unit;
+    free_path *= scene->per_unit;
     const double extent[3] = {high.x - low.x, high.y - low.y, high.z - low.z};
     double width = CELL * thickness, visits = 0, error = 0;
     if (!(free_path > 0 && thickness >= DENSE * free_path && extent[0] >= 0 && extent[1] >= 0 && extent[2] >= 0)) {
@@ -208,7 +213,7 @@ lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 h
     growing g = {.c = c};
     bool enough = c != NULL;
     if (c) {
-        *c = (lum_clearance){.low = {low.x, low.y, low.z}, .per_metre = 1 / width, .beyond = BEYOND * free_path / width};
+        *c = (lum_clearance){.per_unit = scene->per_unit, .low = {low.x, low.y, low.z}, .per_length = 1 / width, .beyond = BEYOND * free_path / width};
         for (int k = 0; k < 3; k++) {
             c->size[k] = (uint32_t)floor(extent[k] / width) + 1;
         }
@@ -254,10 +259,12 @@ void lum_clearance_destroy(lum_clearance *c)
 
 bool lum_clearance_clear(const lum_clearance *c, lmg_vec3 origin, lmg_vec3 direction, double reach)
 {
+    origin = vec_scale(origin, c->per_unit);
+    reach *= c->per_unit;
     const double o[3] = {origin.x, origin.y, origin.z}, d[3] = {direction.x, direction.y, direction.z};
     size_t at[3];
     for (int k = 0; k < 3; k++) {
-        const double x = (o[k] - c->low[k]) * c->per_metre, end = x + reach * d[k] * c->per_metre;
+        const double x = (o[k] - c->low[k]) * c->per_length, end = x + reach * d[k] * c->per_length;
         if (!(x >= 0 && x < (double)c->size[k])) {
             return false;
         }

@@ -64,6 +64,7 @@ static void point_in_patch(const emissive_triangle *t, uint32_t index, double x,
     *b2 = corner[1] + step * (y * r);
 }
 
+/* In the model's unit. */
 static inline lmg_vec3 point_at(const emissive_triangle *t, double b1, double b2, lmg_vec3 *ng)
 {
     lmg_vec3 a = vec_from_float(t->v[0]), n = vec_from_float(t->ng);
@@ -122,7 +123,7 @@ void lum_emitters_sample(const lum_emitters *emitters, const double xi[6], doubl
     if (t->both && xi[5] < 0.5) {
         ng = vec_scale(ng, -1);
     }
-    out->origin = vec_along(p, ng, (double)t->error);
+    out->origin = vec_scale(vec_along(p, ng, (double)t->error), emitters->model->unit);
     out->direction = vec_about_squared(ng, xi[3], xi[4]);
 }
 
@@ -157,8 +158,8 @@ typedef struct plain_columns {
     double both[LUM_PHOTONS]; /* 0.5: shines to both sides, else 0 */
 } plain_columns;
 
-/* lum_emitters_sample for photons of plain triangles. */
-LUM_WIDE static void sample_plain(size_t count, const plain_columns *restrict c, double (*restrict xi)[LUM_PHOTONS],
+/* lum_emitters_sample for photons of plain triangles, whose coordinates are in a unit. */
+LUM_WIDE static void sample_plain(size_t count, double unit, const plain_columns *restrict c, double (*restrict xi)[LUM_PHOTONS],
                                   lum_photons *restrict p)
 {
     for (size_t i = 0; i < count; i++) {
@@ -170,7 +171,7 @@ LUM_WIDE static void sample_plain(size_t count, const plain_columns *restrict c,
         double r = sqrt(xi[1][i]);
         lmg_vec3 at = vec_along(vec_along(a, e1, 1 - r), e2, xi[2][i] * r);
         ng = vec_scale(ng, xi[5][i] < c->both[i] ? -1.0 : 1.0);
-        at = vec_along(at, ng, (double)c->error[i]);
+        at = vec_scale(vec_along(at, ng, (double)c->error[i]), unit);
         lmg_vec3 d = vec_about_squared(ng, xi[3][i], xi[4][i]);
         p->origin[0][i] = at.x;
         p->origin[1][i] = at.y;
@@ -236,7 +237,7 @@ void lum_emitters_sample_many(const lum_emitters *emitters, uint64_t seed, size_
         photons->material[i] = t->material;
     }
     if (other_count < count) {
-        sample_plain(count, &columns, xi, photons);
+        sample_plain(count, emitters->model->unit, &columns, xi, photons);
     }
     for (size_t k = 0; k < other_count; k++) {
         sample_other(emitters, others[k], xi, photons);
@@ -301,7 +302,7 @@ bool lum_emitters_sample_point(const lum_emitters *emitters, lmg_vec3 p, const d
     const emissive_triangle *t = &emitters->triangles[emitters->alias_all[i].owner];
     double b1, b2;
     point_in_patch(t, i, xi[1], xi[2], &b1, &b2);
-    lmg_vec3 ng, d = vec_sub(point_at(t, b1, b2, &ng), p);
+    lmg_vec3 ng, d = vec_sub(vec_scale(point_at(t, b1, b2, &ng), emitters->model->unit), p);
     double d2 = vec_dot(d, d);
     if (!(d2 > 0)) {
         return false;

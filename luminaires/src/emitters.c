@@ -353,7 +353,7 @@ lmg_result lum_emitters_create(const lum_model *model, lum_emitters **out, lmg_e
         e->of_triangle[i] = (int32_t)next++;
         t->triangle = i;
         t->material = model->triangle_material[i];
-        t->area = (float)(0.5 * twice);
+        t->area = (float)(0.5 * twice * model->unit * model->unit);
         t->error = nextafterf((float)lum_triangle_error((const float(*)[3])t->v), INFINITY);
         lum_emission_at(model, i, 1.0 / 3, 1.0 / 3, t->emission);
         luminance = lmg_luminance(t->emission);

@@ -13,11 +13,11 @@ typedef struct patch {
 } patch;
 
 typedef struct emissive_triangle {
-    float v[3][3];     /* vertices */
+    float v[3][3];     /* vertices, in the model's unit */
     float ng[3];       /* geometric normal, rounded to float */
     float emission[3]; /* cd/m2, of untextured ones */
     float colour[3];   /* the same at luminance 1 */
-    float error;       /* lum_triangle_error */
+    float error;       /* lum_triangle_error, in the model's unit */
     float area;        /* m2 */
     uint32_t n;        /* cuts per edge: n * n patches */
     bool textured, both;

@@ -207,13 +207,13 @@ static lmg_result find_coincident(lum_build *b, const uint32_t *same)
 
 /* --------------------------------------------------------------------------------------------------------- measures */
 
-/* Corners of a triangle, and twice its area times its normal. */
+/* Corners of a triangle, metres, and twice its area times its normal. */
 static void triangle(const lum_model *m, uint32_t t, double x[3][3], double n[3])
 {
     double e1[3], e2[3];
     for (int k = 0; k < 3; k++)
         for (int j = 0; j < 3; j++)
-            x[k][j] = (double)m->positions[3 * (size_t)m->indices[3 * (size_t)t + (size_t)k] + (size_t)j];
+            x[k][j] = m->unit * (double)m->positions[3 * (size_t)m->indices[3 * (size_t)t + (size_t)k] + (size_t)j];
     for (int j = 0; j < 3; j++) {
         e1[j] = x[1][j] - x[0][j];
         e2[j] = x[2][j] - x[0][j];

@@ -38,6 +38,7 @@ static void store(float *p, vec v)
         p[i] = (float)v.x[i];
 }
 
+/* In the model's unit. */
 static vec corner(const lum_model *m, uint32_t triangle, int k)
 {
     return load(m->positions + 3 * (size_t)m->indices[3 * (size_t)triangle + (size_t)k]);
@@ -95,6 +96,17 @@ static vec find_centre(const lum_build *b)
     return c;
 }
 
+/* The largest coordinate of what is drawn; not what only a float's denormals could hold, which has no area. */
+static double find_unit(const lum_build *b, vec centre)
+{
+    const lum_model *m = b->model;
+    double unit = 0;
+    for (size_t i = 0; i < 3 * (size_t)m->triangle_count; i++)
+        for (int k = 0; k < 3; k++)
+            unit = fmax(unit, fabs(b->positions[3 * (size_t)m->indices[i] + (size_t)k] - centre.x[k]));
+    return unit >= (double)FLT_MIN ? unit : 1;
+}
+
 static lmg_result round_positions(lum_build *b, vec centre)
 {
     lum_model *m = b->model;
@@ -102,8 +114,10 @@ static lmg_result round_positions(lum_build *b, vec centre)
     m->positions = calloc(3 * (size_t)m->vertex_count + 4, sizeof *m->positions);
     if (!m->positions)
         return lmg_fail(b->err, LMG_ERROR_MEMORY, "out of memory");
+    m->unit = find_unit(b, centre);
     for (size_t i = 0; i < 3 * (size_t)m->vertex_count; i++)
-        m->positions[i] = (float)(b->positions[i] - centre.x[i % 3]);
+        /* what no triangle uses may be far away */
+        m->positions[i] = (float)fmax(-(double)FLT_MAX, fmin((b->positions[i] - centre.x[i % 3]) / m->unit, (double)FLT_MAX));
     for (uint32_t i = 0; i < m->light_count; i++) {
         m->lights[i].position.x -= centre.x[0];
         m->lights[i].position.y -= centre.x[1];
@@ -255,8 +269,10 @@ static lmg_result complete_tangents(lum_build *b, vec *sums)
 static void find_bounds(lum_model *m)
 {
     double lo[3] = {INFINITY, INFINITY, INFINITY}, hi[3] = {-INFINITY, -INFINITY, -INFINITY};
-    for (size_t i = 0; i < 3 * (size_t)m->triangle_count; i++)
-        extend(lo, hi, load(m->positions + 3 * (size_t)m->indices[i]).x);
+    for (size_t i = 0; i < 3 * (size_t)m->triangle_count; i++) {
+        const lmg_vec3 p = lum_model_vertex(m, m->indices[i]);
+        extend(lo, hi, (const double[3]){p.x, p.y, p.z});
+    }
     for (uint32_t i = 0; i < m->light_count; i++) {
         extend_by_light(lo, hi, &m->lights[i]);
     }

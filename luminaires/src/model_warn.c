@@ -163,7 +163,7 @@ static bool is_film(const lum_model *m, const lum_part *part)
         error = fmax(error, lum_triangle_error((const float(*)[3])v));
     }
     /* of a plate, volume over half of the surface */
-    return 2 * part->enclosed_volume < LUM_TOUCHING_GAP * error * part->area;
+    return 2 * part->enclosed_volume < LUM_TOUCHING_GAP * error * m->unit * part->area;
 }
 
 /* Materials that let light through: openness, and transparency that only blends. */

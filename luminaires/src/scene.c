@@ -2,6 +2,7 @@
 /*
  * Rays against triangles: the only file that calls Embree.  Embree finds the triangle in single precision; the hit is then computed
  * again in double, which gives exact positions and rejects false hits (grazing rays on slivers, the triangle a ray has just left).
+ * Inside, lengths are in the model's unit; rays come and hits go in metres.
  * Relies on surface.c and microfacet.c for what a scene holds besides geometry.
  */
 #include "scene_data.h"
@@ -238,6 +239,8 @@ lmg_result lum_scene_create(const lum_model *model, lum_scene **out, lmg_error *
         return lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for the scene");
     }
     scene->model = model;
+    scene->unit = model->unit;
+    scene->per_unit = 1 / model->unit;
     lmg_result result = LMG_OK;
     fenv_t environment;
     feholdexcept(&environment); /* rtcCommitScene raises invalid operations, which kill a program that traps them */
@@ -317,6 +320,8 @@ lmg_result lum_scene_create_variant(const lum_scene *geometry, const lum_model *
         return lmg_fail(err, LMG_ERROR_MEMORY, "not enough memory for the scene");
     }
     *scene = (lum_scene){.model = model,
+                         .unit = geometry->unit,
+                         .per_unit = geometry->per_unit,
                          .triangles = geometry->triangles,
                          .normals = geometry->normals,
                          .neighbour = geometry->neighbour,
@@ -524,6 +529,13 @@ static void prefer_neighbour(const lum_scene *scene, lmg_vec3 o, lmg_vec3 d, lum
     }
 }
 
+static inline void to_metres(const lum_scene *scene, lum_hit *hit)
+{
+    hit->t *= scene->unit;
+    hit->position = vec_scale(hit->position, scene->unit);
+    hit->error *= scene->unit;
+}
+
 /* Whether a ray for which Embree has found the triangle truly meets it, or its neighbour before it: then that is the hit. */
 static inline bool take_hit(const lum_scene *scene, uint32_t triangle, lmg_vec3 o, lmg_vec3 d, lum_hit *hit)
 {
@@ -586,13 +598,16 @@ static bool look_beyond(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direct
 
 bool lum_scene_intersect(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direction, lum_hit *hit)
 {
+    const lmg_vec3 o = vec_scale(origin, scene->per_unit);
     struct RTCIntersectContext context;
     rtcInitIntersectContext(&context);
     struct RTCRayHit rayhit;
-    if (!trace(scene, &context, origin, direction, 0, INFINITY, &rayhit)) {
+    if (!trace(scene, &context, o, direction, 0, INFINITY, &rayhit) ||
+        !(take_hit(scene, rayhit.hit.primID, o, direction, hit) || look_beyond(scene, o, direction, rayhit.ray.tfar, hit))) {
         return false;
     }
-    return take_hit(scene, rayhit.hit.primID, origin, direction, hit) || look_beyond(scene, origin, direction, rayhit.ray.tfar, hit);
+    to_metres(scene, hit);
+    return true;
 }
 
 bool lum_scene_touches(const lum_scene *scene)
@@ -657,6 +672,11 @@ uint32_t lum_scene_all_here(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 di
     if (!(first->edges & LUM_TRIANGLE_TOUCHES)) {
         return 1;
     }
+    const lum_hit given = hits[0];
+    origin = vec_scale(origin, scene->per_unit);
+    hits[0].t *= scene->per_unit;
+    hits[0].position = vec_scale(given.position, scene->per_unit);
+    hits[0].error *= scene->per_unit;
     /* The piece of the ray within twice the gap of the place: Embree rounds its ends. */
     const double cosine = fabs(vec_dot(hits[0].ng, direction)), reach = 2 * LUM_TOUCHING_GAP * hits[0].error / fmax(cosine, 1e-6);
     touching_query query = {.scene = scene, .origin = origin, .direction = direction, .hits = hits, .count = 1};
@@ -669,11 +689,9 @@ uint32_t lum_scene_all_here(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 di
     rayhit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     intersect(scene->embree, &query.context, &rayhit);
     const uint32_t count = query.count;
-    if (query.too_many) {
-        return UINT32_MAX;
-    }
-    if (count == 1) {
-        return 1;
+    if (query.too_many || count == 1) {
+        hits[0] = given;
+        return query.too_many ? UINT32_MAX : 1;
     }
     for (uint32_t i = 1; i < count; i++) {
         for (uint32_t k = i; k > 0 && hits[k - 1].triangle > hits[k].triangle; k--) {
@@ -702,6 +720,7 @@ uint32_t lum_scene_all_here(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 di
     for (uint32_t i = 0; i < count; i++) {
         hits[i].position = place;
         hits[i].error = error + farthest;
+        to_metres(scene, &hits[i]);
     }
     return count;
 }
@@ -718,7 +737,9 @@ static inline void intersect_all(const lum_scene *scene, size_t count, const lmg
     float distance[LUM_MAX_RAYS];
     size_t ray_count = 0;
     for (size_t i = 0; i < count; i++) {
-        bool hit = trace(scene, &context, origins[i], directions[i], 0, reach ? nextafterf((float)reach[i], INFINITY) : INFINITY, &rayhit);
+        const lmg_vec3 origin = vec_scale(origins[i], scene->per_unit);
+        const float far = reach ? nextafterf((float)(reach[i] * scene->per_unit), INFINITY) : INFINITY;
+        bool hit = trace(scene, &context, origin, directions[i], 0, far, &rayhit);
         uint32_t at = hit ? rayhit.hit.primID : 0;
         __builtin_prefetch(&scene->triangles[at]);
         if (scene->normals) {
@@ -732,8 +753,11 @@ static inline void intersect_all(const lum_scene *scene, size_t count, const lmg
     }
     for (size_t k = 0; k < ray_count; k++) {
         size_t i = ray[k];
-        if (!take_hit(scene, triangle[k], origins[i], directions[i], &hits[i]) &&
-            !look_beyond(scene, origins[i], directions[i], distance[k], &hits[i])) {
+        const lmg_vec3 origin = vec_scale(origins[i], scene->per_unit);
+        if (take_hit(scene, triangle[k], origin, directions[i], &hits[i]) ||
+            look_beyond(scene, origin, directions[i], distance[k], &hits[i])) {
+            to_metres(scene, &hits[i]);
+        } else {
             hits[i].triangle = LUM_MISS;
         }
     }
@@ -759,6 +783,8 @@ bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direct
     rtcInitIntersectContext(&context);
     struct RTCRayHit rayhit;
     lum_hit hit;
+    origin = vec_scale(origin, scene->per_unit);
+    distance *= scene->per_unit;
     float near = 0, far = nextafterf((float)distance, INFINITY);
     while (trace(scene, &context, origin, direction, near, far, &rayhit)) {
         if (confirm_hit(&scene->triangles[rayhit.hit.primID], origin, direction, &hit)) {
@@ -778,9 +804,9 @@ uint64_t lum_scene_trace_raw(const lum_scene *scene, const float *rays, size_t c
     for (size_t i = 0; i < count; i++) {
         struct RTCRayHit rayhit;
         const float *r = rays + 6 * i;
-        rayhit.ray.org_x = r[0];
-        rayhit.ray.org_y = r[1];
-        rayhit.ray.org_z = r[2];
+        rayhit.ray.org_x = (float)((double)r[0] * scene->per_unit);
+        rayhit.ray.org_y = (float)((double)r[1] * scene->per_unit);
+        rayhit.ray.org_z = (float)((double)r[2] * scene->per_unit);
         rayhit.ray.tnear = 0;
         rayhit.ray.dir_x = r[3];
         rayhit.ray.dir_y = r[4];

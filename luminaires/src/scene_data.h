@@ -22,10 +22,10 @@ enum {
 
 /* All that a hit needs of a triangle, in one cache line. */
 typedef struct lum_triangle {
-    float v[3][3];       /* vertices */
+    float v[3][3];       /* vertices, in the model's unit */
     float ng[3];         /* geometric normal, rounded to float */
     uint32_t material;   /* index | LUM_TRIANGLE_SMOOTH */
-    float error;         /* lum_hit.error: see lum_triangle_error */
+    float error;         /* lum_hit.error in the model's unit: see lum_triangle_error */
     float margin;        /* largest barycentric distance that hits keep from the edges: see lum_triangle_error */
     uint32_t edges;      /* of the edge opposite vertex i: bit i, it is flat, hits may lie on it; from bit 3 + LUM_FOLD_BITS i on, how
                             the surface goes on there (scene.c: note_edges) */
@@ -40,6 +40,7 @@ typedef struct lum_shading {
 
 struct lum_scene {
     const lum_model *model;
+    double unit, per_unit;    /* the model's, metres, and 1 / unit: triangles and Embree are in it, as the model's vertices are */
     lum_triangle *triangles;
     float (*normals)[3][3]; /* per triangle; NULL if no triangle is smooth */
     uint32_t (*neighbour)[3]; /* per triangle: the one beyond the edge opposite vertex i, where exactly two meet, else LUM_MISS */
@@ -51,7 +52,7 @@ struct lum_scene {
 };
 
 /*
- * How far a new ray's origin must stand off a triangle, metres.
+ * How far a new ray's origin must stand off a triangle, in the unit of its vertices.
  *
  * Hits are found again in double precision, so a hit's position is exact to about 1e-16 of the coordinates.  What limits is that
  * Embree takes the origin of the next ray as floats.  With u = 2^-24 and M the largest vertex coordinate (it bounds |P| on the

@@ -102,9 +102,8 @@ static bool tangent_at(const lum_model *model, const lum_hit *hit, int set, lmg_
         return false;
     }
     const float *a = uv + 2 * (size_t)corner[0], *b = uv + 2 * (size_t)corner[1], *c = uv + 2 * (size_t)corner[2];
-    lmg_vec3 p = vec_from_float(model->positions + 3 * (size_t)corner[0]);
-    lmg_vec3 e1 = vec_sub(vec_from_float(model->positions + 3 * (size_t)corner[1]), p);
-    lmg_vec3 e2 = vec_sub(vec_from_float(model->positions + 3 * (size_t)corner[2]), p);
+    lmg_vec3 p = lum_model_vertex(model, corner[0]);
+    lmg_vec3 e1 = vec_sub(lum_model_vertex(model, corner[1]), p), e2 = vec_sub(lum_model_vertex(model, corner[2]), p);
     double u1 = (double)b[0] - (double)a[0], v1 = (double)b[1] - (double)a[1];
     double u2 = (double)c[0] - (double)a[0], v2 = (double)c[1] - (double)a[1];
     double det = u1 * v2 - u2 * v1;

@@ -198,7 +198,7 @@ static void test_filament(void **state)
     for (uint32_t i = 0; i < m->triangle_count; ++i) {
         double p[3][3], n[3];
         for (int k = 0; k < 9; ++k)
-            p[k / 3][k % 3] = (double)m->positions[3 * (size_t)m->indices[3 * (size_t)i + (size_t)(k / 3)] + (size_t)(k % 3)];
+            p[k / 3][k % 3] = m->unit * (double)m->positions[3 * (size_t)m->indices[3 * (size_t)i + (size_t)(k / 3)] + (size_t)(k % 3)];
         for (int k = 0; k < 3; ++k)
             n[k] = (p[1][(k + 1) % 3] - p[0][(k + 1) % 3]) * (p[2][(k + 2) % 3] - p[0][(k + 2) % 3]) -
                    (p[1][(k + 2) % 3] - p[0][(k + 2) % 3]) * (p[2][(k + 1) % 3] - p[0][(k + 1) % 3]);
@@ -217,7 +217,8 @@ static void test_filament(void **state)
                 make_triangle(m, p[0], p[2], p[1], mirror);
         }
     for (uint32_t v = first; v < m->vertex_count; ++v) {
-        const double x = (double)m->positions[3 * (size_t)v], z = (double)m->positions[3 * (size_t)v + 2], length = sqrt(x * x + z * z + 4 * focus * focus);
+        const lmg_vec3 at = lum_model_vertex(m, v);
+        const double x = at.x, z = at.z, length = sqrt(x * x + z * z + 4 * focus * focus);
         m->normals[3 * (size_t)v] = (float)(-x / length);
         m->normals[3 * (size_t)v + 1] = (float)(2 * focus / length);
         m->normals[3 * (size_t)v + 2] = (float)(-z / length);

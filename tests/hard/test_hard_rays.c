@@ -136,7 +136,7 @@ static double undecided_share(const lum_model *m, double segments)
         double v[3][3], e[3][3];
         for (int c = 0; c < 3; ++c)
             for (int k = 0; k < 3; ++k)
-                v[c][k] = (double)m->positions[3 * (size_t)m->indices[3 * (size_t)t + (size_t)c] + (size_t)k];
+                v[c][k] = m->unit * (double)m->positions[3 * (size_t)m->indices[3 * (size_t)t + (size_t)c] + (size_t)k];
         for (int c = 0; c < 3; ++c) {
             for (int k = 0; k < 3; ++k)
                 e[c][k] = v[(c + 1) % 3][k] - v[c][k];
@@ -245,8 +245,8 @@ static void shoot(const lum_model *m, const lum_scene *scene, lmg_vec3 from, dou
         for (int c = 0; c < 6; ++c) {
             double at[3];
             for (int k = 0; k < 3; ++k) {
-                const double a = (double)m->positions[3 * (size_t)m->indices[3 * (size_t)t + (size_t)(c % 3)] + (size_t)k];
-                const double b = (double)m->positions[3 * (size_t)m->indices[3 * (size_t)t + (size_t)((c + 1) % 3)] + (size_t)k];
+                const double a = m->unit * (double)m->positions[3 * (size_t)m->indices[3 * (size_t)t + (size_t)(c % 3)] + (size_t)k];
+                const double b = m->unit * (double)m->positions[3 * (size_t)m->indices[3 * (size_t)t + (size_t)((c + 1) % 3)] + (size_t)k];
                 at[k] = c < 3 ? a : 0.5 * (a + b);
             }
             for (int step = -1; step <= 1; ++step) {

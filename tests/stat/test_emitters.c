@@ -153,7 +153,7 @@ static void sphere(void **state)
     for (uint32_t i = 0; i < model->triangle_count; i++) {
         double v[3][3];
         for (int k = 0; k < 9; k++) {
-            v[k / 3][k % 3] = (double)model->positions[3 * (size_t)model->indices[3 * i + (uint32_t)(k / 3)] + (size_t)(k % 3)];
+            v[k / 3][k % 3] = model->unit * (double)model->positions[3 * (size_t)model->indices[3 * i + (uint32_t)(k / 3)] + (size_t)(k % 3)];
         }
         double a[3], b[3];
         for (int k = 0; k < 3; k++) {

@@ -20,6 +20,7 @@ lum_model *make_model(void)
     lum_model *model = grown(NULL, sizeof *model);
     memset(model, 0, sizeof *model);
     strcpy(model->path, "memory");
+    model->unit = 1;
     return model;
 }
 

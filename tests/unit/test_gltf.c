@@ -28,7 +28,7 @@ static char *document(const void *data, size_t size, const char *views_accessors
 static void corner(const lum_model *m, uint32_t t, int k, double x[3])
 {
     for (int i = 0; i < 3; i++)
-        x[i] = (double)m->positions[3 * m->indices[3 * t + (uint32_t)k] + (uint32_t)i];
+        x[i] = m->unit * (double)m->positions[3 * m->indices[3 * t + (uint32_t)k] + (uint32_t)i];
 }
 
 /* Area vector sum of all triangles: their mean front direction. */

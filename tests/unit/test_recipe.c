@@ -589,7 +589,7 @@ static void recipes_of_the_tree(void **state)
             double x[3][3], n2 = 0;
             for (int k = 0; k < 3; k++)
                 for (int j = 0; j < 3; j++)
-                    x[k][j] = (double)m->positions[3 * m->indices[3 * t + (uint32_t)k] + (uint32_t)j];
+                    x[k][j] = m->unit * (double)m->positions[3 * m->indices[3 * t + (uint32_t)k] + (uint32_t)j];
             for (int j = 0; j < 3; j++) {
                 int a = (j + 1) % 3, b = (j + 2) % 3;
                 double n = (x[1][a] - x[0][a]) * (x[2][b] - x[0][b]) - (x[1][b] - x[0][b]) * (x[2][a] - x[0][a]);

@@ -61,7 +61,7 @@ static void vertex(const lum_model *model, uint32_t index, double out[3])
 {
     const double centre[3] = {model->centre.x, model->centre.y, model->centre.z};
     for (int k = 0; k < 3; ++k)
-        out[k] = (double)model->positions[3 * (size_t)index + (size_t)k] + centre[k];
+        out[k] = model->unit * (double)model->positions[3 * (size_t)index + (size_t)k] + centre[k];
 }
 
 /* How far a coordinate may be off the generator's: it was rounded to float in the file and again relative to the centre, half a unit in

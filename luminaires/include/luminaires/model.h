@@ -150,13 +150,18 @@ typedef struct lum_volume {
     lmg_vec3 bounds_min, bounds_max;    /* relative to centre */
 } lum_volume;
 
-/* All arrays belong to the model.  Positions are relative to centre, which was subtracted in double before rounding to float. */
+/*
+ * All arrays belong to the model.  Vertices are kept in a length of the model's own, its unit: so that they are rounded to the same
+ * floats whatever the lamp's scale, and light takes the same ways.  All other lengths are in metres.
+ */
 typedef struct lum_model {
     char path[1024];
     uint64_t hash;            /* of the file, its buffers, images and the recipe: FNV-1a 64 */
     lmg_vec3 centre;          /* metres, in the file's frame */
     uint32_t vertex_count, triangle_count;
-    float *positions;         /* 3 per vertex, followed by at least 4 spare bytes (Embree reads 16) */
+    double unit;              /* metres, > 0: the largest coordinate of a vertex relative to centre (1 without any) */
+    float *positions;         /* 3 per vertex, (position - centre) / unit, rounded from double; followed by at least 4 spare bytes (Embree
+                                 reads 16) */
     float *normals;           /* 3 per vertex, unit; flat ones where the file has none */
     float *tangents;          /* 4 per vertex, or NULL */
     float *uv[2];             /* 2 per vertex, or NULL */
@@ -201,6 +206,14 @@ lmg_result lum_model_load(const char *path, const lum_recipe *recipe, lum_model 
 void lum_model_destroy(lum_model *model);
 
 /* ------------------------------------------------------------------------------------------------------------- lookups */
+
+/* A vertex relative to centre, metres. */
+static inline lmg_vec3 lum_model_vertex(const lum_model *m, uint32_t vertex)
+{
+    const float *p = m->positions + 3 * (size_t)vertex;
+    lmg_vec3 r = {m->unit * (double)p[0], m->unit * (double)p[1], m->unit * (double)p[2]};
+    return r;
+}
 
 /* Whether its surface is the boundary of a solid that lets light in. */
 static inline bool lum_material_is_solid(const lum_material *m)
