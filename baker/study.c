@@ -124,7 +124,8 @@ double study_rung_seconds(const study_rung *r)
     return r->pilot_seconds + r->trace_seconds + r->gather_seconds + r->reconstruct_seconds + r->write_seconds;
 }
 
-/* The share of tracing's time that depositing takes: the same photons with and without an accumulator, the lesser of three times each. */
+/* The share of tracing's processor time that depositing takes: the same photons with and without an accumulator, the lesser of three times
+ * each. */
 static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
 {
     bake_source *lamp = judge_lamp(l->judge);
@@ -148,9 +149,9 @@ static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
     for (int i = 0; result == LMG_OK && i < 6; ++i) {
         const int with = i % 2;
         sink = lmg_accumulator_sink(accumulator);
-        const double began = bake_clock();
+        const double began = processor_clock();
         result = lamp->run(lamp, 0, photons, l->options->threads, &sink, (size_t)with, &tally, err);
-        least[with] = fmin(least[with], bake_clock() - began);
+        least[with] = fmin(least[with], processor_clock() - began);
     }
     if (result == LMG_OK)
         l->out->deposit_share = fmax(0, 1 - least[0] / least[1]);

@@ -269,6 +269,7 @@ static lmg_result run_study(const settings *s, view_study *study, lmg_error *err
 {
     view_scene *boxed = NULL, *built = NULL;
     view_camera camera;
+    const atomic_int *stop = scene_catch_interrupts(); /* while it loads too: then the study ends before it begins */
     lmg_result r = scene_check_place(s->page, err);
     r = r ? r : scene_load(&s->scene, SCENE_BOXES, &boxed, err);
     r = r ? r : scene_load(&s->scene, SCENE_LAMPS, &built, err);
@@ -287,7 +288,7 @@ static lmg_result run_study(const settings *s, view_study *study, lmg_error *err
             .seed = s->scene.seed,
             .threads = (unsigned)s->scene.threads,
             .path = {.max_depth = (uint32_t)s->scene.max_depth},
-            .stop = scene_catch_interrupts(),
+            .stop = stop,
             .progress = s->scene.quiet || !isatty(STDERR_FILENO) ? NULL : show_progress,
         };
         if (options.progress) {
