@@ -1261,34 +1261,86 @@ static void order_photons(const tracer *t, worker *w, uint64_t first, uint32_t c
 }
 
 #if KERNEL_FEATURES & TRACER_MEDIA
-/*
- * Draws how far path i goes in the medium around it: w->reach[i].  Where that certainly meets no surface it is scattered at once,
- * again and again; so in a dense medium a path takes many steps in its turn, of all that a surface needs none.  False: it has
- * ended.
- */
-static inline bool wander(const tracer *t, worker *w, uint32_t i)
+/* Of paths that certainly meet no surface before the end of their reach: those that are scattered there, the rest has ended.
+ * Returns their number. */
+static inline uint32_t scatter_in_place(const tracer *t, worker *w, uint32_t count, uint32_t *list)
 {
-    enum { STEPS = 64 }; /* then it's the others' turn */
-    path *p = &w->path[i];
-    const tracer_medium *m = p->nested > 0 ? &t->media[p->inside[p->nested - 1]] : NULL;
-    w->reach[i] = -1;
-    if (!m || !m->scatters || is_spectral(t))
-        return true;
-    for (uint32_t step = 0;; ++step) {
+    lum_phase_columns columns;
+    uint32_t kept = 0, copies[WAVE];
+    for (uint32_t k = 0; k < count; ++k) {
+        const uint32_t i = list[k];
+        path *p = &w->path[i];
+        const lum_medium *m = &t->media[p->inside[p->nested - 1]].inside;
         double share[3];
         shares(p, share);
-        w->reach[i] = lum_medium_draw(&m->inside, share, &p->rng);
-        if (step == STEPS || !t->clearance || !lum_clearance_clear(t->clearance, w->origin[i], w->direction[i], w->reach[i]))
-            return true;
-        w->hit[i].triangle = LUM_MISS;
-        bool scattered;
-        const uint32_t photons = fly_through(t, w, i, &scattered);
-        if (photons == 0)
-            return false;
-        if (!scattered)
-            return true;
-        put_aside(w, i, photons - 1);
-        ++w->counts.segments;
+        lum_flight flight;
+        lum_medium_arrive(m, w->reach[i], (double)INFINITY, share, &p->rng, &flight);
+        const uint32_t photons = flight.event == LUM_FLIGHT_ABSORBED ? 0 : survivors(p, flight.factor);
+        w->counts.absorbed += units_of(p) * (1 - (int64_t)photons);
+        if (photons == 0) {
+            w->ended[i] = true;
+            continue;
+        }
+#if KERNEL_FEATURES & TRACER_SURVEY
+        note_effects(p, w->survey->scattering);
+#endif
+#if KERNEL_FEATURES & TRACER_POLARIZATION
+        p->polarization = (lum_polarization){0};
+#endif
+        copies[kept] = photons - 1;
+        const lmg_vec3 o = w->origin[i], d = w->direction[i];
+        w->origin[i] = (lmg_vec3){o.x + flight.t * d.x, o.y + flight.t * d.y, o.z + flight.t * d.z};
+        columns.g[kept] = flight.g;
+        columns.xi[0][kept] = lum_rng_next(&p->rng);
+        columns.xi[1][kept] = lum_rng_next(&p->rng);
+        columns.direction[0][kept] = d.x;
+        columns.direction[1][kept] = d.y;
+        columns.direction[2][kept] = d.z;
+        list[kept++] = i;
+    }
+    lum_phase_sample_many(kept, &columns);
+    for (uint32_t k = 0; k < kept; ++k) {
+        const uint32_t i = list[k];
+        w->direction[i] = (lmg_vec3){columns.direction[0][k], columns.direction[1][k], columns.direction[2][k]};
+        put_aside(w, i, copies[k]);
+    }
+    w->counts.segments += kept;
+    return kept;
+}
+
+/*
+ * Draws how far `count` paths from `first` on go in the medium around them: w->reach.  Where that certainly meets no surface they
+ * are scattered at once, again and again; so in a dense medium a path takes many steps in its turn, of all that a surface needs
+ * none.
+ */
+static inline void wander(const tracer *t, worker *w, uint32_t first, uint32_t count)
+{
+    enum { STEPS = 64 }; /* then it's the others' turn */
+    uint32_t list[WAVE], left = 0;
+    for (uint32_t i = first; i < first + count; ++i) {
+        const path *p = &w->path[i];
+        w->reach[i] = -1;
+        w->ended[i] = false;
+        list[left] = i;
+        left += p->nested > 0 && t->media[p->inside[p->nested - 1]].scatters && !is_spectral(t);
+    }
+    for (uint32_t step = 0; left > 0; ++step) {
+        for (uint32_t k = 0; k < left; ++k) {
+            path *p = &w->path[list[k]];
+            double share[3];
+            shares(p, share);
+            w->reach[list[k]] = lum_medium_draw(&t->media[p->inside[p->nested - 1]].inside, share, &p->rng);
+        }
+        if (step == STEPS || !t->clearance)
+            return;
+        bool clear[WAVE];
+        uint32_t cleared = 0;
+        lum_clearance_many(t->clearance, left, list, w->origin, w->direction, w->reach, clear);
+        for (uint32_t k = 0; k < left; ++k) {
+            list[cleared] = list[k];
+            cleared += clear[k];
+        }
+        left = scatter_in_place(t, w, cleared, list);
     }
 }
 #endif
@@ -1299,8 +1351,8 @@ static inline void find_hits(const tracer *t, worker *w, uint32_t first, uint32_
 {
 #if KERNEL_FEATURES & TRACER_MEDIA
     double reach[WAVE];
+    wander(t, w, first, count);
     for (uint32_t i = first; i < first + count; ++i) {
-        w->ended[i] = !wander(t, w, i);
         reach[i] = w->reach[i] < 0 ? (double)INFINITY : w->reach[i] + t->near;
     }
     lum_scene_intersect_within(t->scene, count, w->origin + first, w->direction + first, reach + first, w->hit + first);

@@ -16,17 +16,45 @@ double lum_phase_pdf(double g, double cosine)
  * 2) 1 + cosine = B / (1 + g s)^2,  B = (1 + g)^2 (1 + s) (1 - g (1 - s) / 2),   A + B = 2 (1 + g s)^2 and A and B are sums and
  * products of positive terms, so that sine and cosine are exact to rounding for the narrowest peaks.
  */
-lmg_vec3 lum_phase_sample(double g, lmg_vec3 d, const double xi[2])
+static inline lmg_vec3 scattered(double g, lmg_vec3 d, double xi, double turns)
 {
-    const double s = 2 * xi[0] - 1;
+    const double s = 2 * xi - 1;
     const double a = (1 - g) * (1 - g) * (1 - s) * (1 + 0.5 * g * (1 + s)),
                  b = (1 + g) * (1 + g) * (1 + s) * (1 - 0.5 * g * (1 - s));
     const double scale = 1 / (a + b), sine = 2 * sqrt(a * b) * scale, cosine = (b - a) * scale;
     double turn_sine, turn_cosine;
-    sincos_turns(xi[1], &turn_sine, &turn_cosine);
+    sincos_turns(turns, &turn_sine, &turn_cosine);
     lmg_vec3 x, y;
     vec_frame(d, &x, &y);
     return vec_add(vec_scale(d, cosine), vec_add(vec_scale(x, sine * turn_cosine), vec_scale(y, sine * turn_sine)));
+}
+
+lmg_vec3 lum_phase_sample(double g, lmg_vec3 d, const double xi[2])
+{
+    return scattered(g, d, xi[0], xi[1]);
+}
+
+/* Whole vectors: a loop's last few rounds, one by one, would take as long as all the others. */
+LUM_WIDE static void scatter_columns(size_t count, lum_phase_columns *restrict c)
+{
+    for (size_t i = 0; i < count; ++i) {
+        const lmg_vec3 d = {c->direction[0][i], c->direction[1][i], c->direction[2][i]};
+        const lmg_vec3 out = scattered(c->g[i], d, c->xi[0][i], c->xi[1][i]);
+        c->direction[0][i] = out.x;
+        c->direction[1][i] = out.y;
+        c->direction[2][i] = out.z;
+    }
+}
+
+void lum_phase_sample_many(size_t count, lum_phase_columns *c)
+{
+    enum { VECTOR = 8 };
+    const size_t whole = (count + VECTOR - 1) / VECTOR * VECTOR;
+    for (size_t i = count; i < whole; ++i) {
+        c->g[i] = c->xi[0][i] = c->xi[1][i] = c->direction[0][i] = c->direction[1][i] = 0;
+        c->direction[2][i] = 1;
+    }
+    scatter_columns(whole, c);
 }
 
 void lum_medium_set(lum_medium *m, const float scattering[3], const float absorption[3], float anisotropy)

@@ -12,6 +12,7 @@
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
+#include <string.h>
 #include <cmocka.h>
 
 #define PI 3.14159265358979323846
@@ -91,6 +92,39 @@ static void phase_samples_have_their_density(void **state)
         print_message("g = %g: mean cosine %.6f +- %.6f, chi-square p = %.3f\n", g, mean.mean, stats_error(&mean), p);
         assert_true(p > stats_sidak(1e-3, ANISOTROPIES));
         assert_true(fabs(mean.mean - g) <= SIGMAS * stats_error(&mean) + 1e-12);
+    }
+}
+
+/* Columns give the bits that single samples do, whatever their number. */
+static void phase_columns_are_phase_samples(void **state)
+{
+    (void)state;
+    lum_rng rng = lum_rng_stream(77, 0);
+    double xi[LUM_MAX_SCATTERED][2];
+    lmg_vec3 before[LUM_MAX_SCATTERED];
+    for (int i = 0; i < LUM_MAX_SCATTERED; ++i) {
+        xi[i][0] = lum_rng_next(&rng);
+        xi[i][1] = lum_rng_next(&rng);
+    }
+    for (int i = 0; i < LUM_MAX_SCATTERED; ++i)
+        before[i] = lum_phase_sample(0, (lmg_vec3){0, 0, 1}, xi[LUM_MAX_SCATTERED - 1 - i]);
+    before[1] = (lmg_vec3){0, 0, -1};
+    for (size_t count = 0; count <= LUM_MAX_SCATTERED; ++count) {
+        lum_phase_columns c;
+        memset(&c, 0, sizeof(c));
+        for (size_t i = 0; i < count; ++i) {
+            c.g[i] = ANISOTROPY[i % ANISOTROPIES];
+            c.xi[0][i] = xi[i][0];
+            c.xi[1][i] = xi[i][1];
+            c.direction[0][i] = before[i].x;
+            c.direction[1][i] = before[i].y;
+            c.direction[2][i] = before[i].z;
+        }
+        lum_phase_sample_many(count, &c);
+        for (size_t i = 0; i < count; ++i) {
+            const lmg_vec3 one = lum_phase_sample(ANISOTROPY[i % ANISOTROPIES], before[i], xi[i]);
+            assert_true(c.direction[0][i] == one.x && c.direction[1][i] == one.y && c.direction[2][i] == one.z);
+        }
     }
 }
 
@@ -382,6 +416,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(phase_samples_have_their_density),
+        cmocka_unit_test(phase_columns_are_phase_samples),
         cmocka_unit_test(phase_density_is_normalized),
         cmocka_unit_test(flights_obey_beer_and_lambert),
         cmocka_unit_test(conservative_slab_transmits_as_published),

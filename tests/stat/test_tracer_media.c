@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
  * Participating media in the photon tracer: a conservative slab against published transmittances, colours after a coloured medium,
- * media inside refracting solids that leak nothing, volumes around a lamp and beyond it, balance in whole photons, independence of
- * threads.  Seeds are fixed.  Statistical tolerances: 4 standard errors, p < 7e-5 for each of about 20 comparisons.
+ * media inside refracting solids that leak nothing, the same photons whether clear ways are known or not, volumes around a lamp and
+ * beyond it, balance in whole photons, independence of threads.  Seeds are fixed.  Statistical tolerances: 4 standard errors, p <
+ * 7e-5 for each of about 20 comparisons.
  */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -13,6 +14,7 @@
 
 #include "../unit/make_model.h"
 #include "source.h"
+#include "tracer_state.h"
 
 #include <luminaires/medium.h>
 #include <luminaires/rng.h>
@@ -222,6 +224,59 @@ static void filled_balls_leak_nothing(void **state)
     }
 }
 
+/* The lamps of the next test: shells of coarse and fine facets, a block with its edges and corners; media thin and dense, grey and
+ * coloured. */
+enum { OPAL_LAMPS = 6 };
+
+static lum_model *opal_lamp(int k)
+{
+    lum_model *model = make_model();
+    const float depth = k % 2 ? 15000 : 500, blue = k / 2 == 2 ? 1.5f * depth : depth;
+    const uint32_t opal = make_filled(model, 1.5f, (const float[3]){depth, depth, blue}, (const float[3]){0.5f, 0.5f, 0.2f}, 0.3f);
+    const uint32_t bulb = make_lambert(model, 0.5f);
+    if (k / 2 == 2) {
+        make_box(model, v3(-0.03, -0.02, 0.001), v3(0.03, 0.02, 0.004), false, 3, opal);
+    } else {
+        make_sphere(model, v3(0.01, 0, 0), 0.03, k / 2 ? 48 : 9, false, k / 2, opal);
+        make_sphere(model, v3(0.01, 0, 0), 0.027, k / 2 ? 48 : 9, true, k / 2, opal);
+    }
+    make_sphere(model, v3(0, 0, -0.005), 0.005, 8, false, false, bulb);
+    for (int c = 0; c < 3; ++c)
+        model->materials[bulb].emissive[c] = 1000;
+    finish_model(model);
+    return model;
+}
+
+/* To know that nothing is on a way saves looking, and changes no photon: the same rays to the bit with it and without. */
+static void known_clear_ways_change_nothing(void **state)
+{
+    (void)state;
+    for (int k = 0; k < OPAL_LAMPS; ++k) {
+        lum_model *model = opal_lamp(k);
+        bake_source *source = tracer_of(model, 76);
+        tracer *t = (tracer *)source;
+        lum_clearance *clearance = t->clearance;
+        assert_non_null(clearance);
+        census seen[2] = {{.hash_only = true}, {.hash_only = true}};
+        bake_tally tally[2] = {{0}, {0}};
+        const uint64_t n = (k % 2 ? 1500 : 8000) / SPARE;
+        for (int without = 0; without < 2; ++without) {
+            const lmg_sink sink = {&seen[without], count_rays};
+            t->clearance = without ? NULL : clearance;
+            assert_int_equal(source->run(source, 0, n, 2, &sink, 1, &tally[without], NULL), LMG_OK);
+        }
+        t->clearance = clearance;
+        print_message("opal lamp %d: %.1f segments each, %g of %g escape, %g lost\n", k,
+                      (double)tally[0].segments / tally[0].emitted, tally[0].escaped, tally[0].emitted, tally[0].lost);
+        assert_true(seen[0].hash == seen[1].hash);
+        assert_true(tally[0].segments == tally[1].segments && tally[0].escaped == tally[1].escaped &&
+                    tally[0].absorbed == tally[1].absorbed && tally[0].lost == tally[1].lost);
+        assert_true(tally[0].segments > 4 * n && tally[0].escaped > 0.1 * (double)n);
+        source->destroy(source);
+        free_model(model);
+    }
+}
+
 /* Smoke of chance around and beyond a small lamp: light out of it starts within the bounds, and what an albedo leaves of it
  * escapes. */
 static lum_model *smoky_lamp(lum_grid **grid, lum_volume *v)
@@ -280,9 +335,8 @@ static void smoke_around_a_lamp(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(slab_transmits_as_published),
-        cmocka_unit_test(colours_fall_by_their_own_coefficients),
-        cmocka_unit_test(filled_balls_leak_nothing),
+        cmocka_unit_test(slab_transmits_as_published), cmocka_unit_test(colours_fall_by_their_own_coefficients),
+        cmocka_unit_test(filled_balls_leak_nothing),   cmocka_unit_test(known_clear_ways_change_nothing),
         cmocka_unit_test(smoke_around_a_lamp),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -40,6 +40,14 @@ double lum_phase_pdf(double g, double cosine);
 /* A direction of travel (unit) after scattering of light that travels in direction d (unit), with exactly that density. */
 lmg_vec3 lum_phase_sample(double g, lmg_vec3 d, const double xi[2]);
 
+/* The same for many at once, to the same bits: the first `count` columns, at most LUM_MAX_SCATTERED.  The new directions replace
+ * the old ones. */
+enum { LUM_MAX_SCATTERED = 64 };
+typedef struct lum_phase_columns {
+    double g[LUM_MAX_SCATTERED], xi[2][LUM_MAX_SCATTERED], direction[3][LUM_MAX_SCATTERED];
+} lum_phase_columns;
+void lum_phase_sample_many(size_t count, lum_phase_columns *columns);
+
 /* -------------------------------------------------------------------------------------------------- homogeneous media */
 
 /* A medium made ready for flights. */

@@ -76,6 +76,10 @@ void lum_clearance_destroy(lum_clearance *clearance); /* accepts NULL */
 /* Whether the way from the origin (off all surfaces, as lum_offset puts it) along direction (unit) certainly meets no surface as far as
  * reach (may be INFINITY) and a little more; false: not known. */
 bool lum_clearance_clear(const lum_clearance *clearance, lmg_vec3 origin, lmg_vec3 direction, double reach);
+/* The same for at most LUM_MAX_RAYS ways at once: clear[k] of the way which[k] of the arrays.  Memory that one of them needs is on
+ * its way while others are worked on. */
+void lum_clearance_many(const lum_clearance *clearance, size_t count, const uint32_t *which, const lmg_vec3 *origins,
+                        const lmg_vec3 *directions, const double *reach, bool *clear);
 
 /* Origin for a ray that leaves a hit in direction d: the hit's position moved off the surface, to the side d points to. */
 static inline lmg_vec3 lum_offset(const lum_hit *hit, lmg_vec3 d)
