@@ -121,6 +121,7 @@ typedef struct worker {
 #if KERNEL_FEATURES & TRACER_MEDIA
     double reach[WAVE]; /* distance drawn for the segment, in a medium inside a solid; negative: none */
     bool ended[WAVE];   /* on its way there */
+    uint32_t left[WAVE]; /* the triangle that the segment starts from, LUM_MISS: none */
 #endif
     path path[WAVE];
     bool goes_on[WAVE];
@@ -720,6 +721,36 @@ static inline uint32_t fly_waves(const tracer *t, worker *w, uint32_t i, const t
 }
 #endif
 
+/* Draws how far path i would go in a medium. */
+static inline void draw_reach(worker *w, uint32_t i, const lum_medium *m)
+{
+    double share[3];
+    shares(&w->path[i], share);
+    w->reach[i] = lum_medium_draw(m, share, &w->path[i].rng);
+}
+
+/* What happens to path i on its way of w->reach[i] in a medium of R,G,B that a surface ends at `length`: the number of photons that
+ * go on. */
+static inline uint32_t fly_in_medium(worker *w, uint32_t i, const lum_medium *m, double length, lum_flight *flight)
+{
+    path *p = &w->path[i];
+    uint32_t photons;
+    if (m->grey) { /* by far the most media; lum_medium_arrive does the same */
+        const bool passed = w->reach[i] >= length;
+        photons = passed || !lum_medium_absorbs(m, &p->rng);
+        flight->event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED;
+        flight->t = passed ? length : w->reach[i];
+        flight->g = m->g;
+    } else {
+        double share[3];
+        shares(p, share);
+        lum_medium_arrive(m, w->reach[i], length, share, &p->rng, flight);
+        photons = flight->event == LUM_FLIGHT_ABSORBED ? 0 : survivors(p, flight->factor);
+    }
+    w->counts.absorbed += units_of(p) * (1 - (int64_t)photons);
+    return photons;
+}
+
 /* What happens to path i on its way to its hit, or out of the model, in a medium or in clear space: as fly; *scattered: it didn't
  * get there, and starts anew from where it is. */
 static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool *scattered)
@@ -730,6 +761,7 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
     const double length = miss ? (double)INFINITY : hit->t;
     const tracer_medium *m = p->nested > 0 ? &t->media[p->inside[p->nested - 1]] : NULL;
     *scattered = false;
+    w->left[i] = LUM_MISS; /* unless it leaves a surface now */
     if (m ? !m->scatters : !t->volumes)
         return miss ? 1 : fly(t, w, i, length);
     if (m && miss && (!(w->reach[i] >= 0 && isfinite(w->reach[i])) || !within_model(t, w->origin[i])))
@@ -741,15 +773,14 @@ static inline uint32_t fly_through(const tracer *t, worker *w, uint32_t i, bool 
         photons = fly_waves(t, w, i, m, length, &flight);
     } else
 #endif
-    {
+        if (m) {
+        if (w->reach[i] < 0) /* it has just turned out to have been born inside */
+            draw_reach(w, i, &m->inside);
+        photons = fly_in_medium(w, i, &m->inside, length, &flight);
+    } else {
         double share[3];
         shares(p, share);
-        if (m) {
-            if (w->reach[i] < 0) /* it has just turned out to have been born inside */
-                w->reach[i] = lum_medium_draw(&m->inside, share, &p->rng);
-            lum_medium_arrive(&m->inside, w->reach[i], length, share, &p->rng, &flight);
-        } else
-            lum_volumes_fly(t->volumes, w->origin[i], w->direction[i], length, share, &p->rng, &flight);
+        lum_volumes_fly(t->volumes, w->origin[i], w->direction[i], length, share, &p->rng, &flight);
         photons = flight.event == LUM_FLIGHT_ABSORBED ? 0 : survivors(p, flight.factor);
         w->counts.absorbed += units_of(p) * (1 - (int64_t)photons);
     }
@@ -1025,6 +1056,9 @@ static inline bool leave(const tracer *t, worker *w, uint32_t k)
         const double n = 1.5 - 0.5 * (s->wo.x * s->wo.x + s->wo.y * s->wo.y + s->wo.z * s->wo.z);
         w->direction[i] = (lmg_vec3){s->wo.x * n, s->wo.y * n, s->wo.z * n};
     }
+#if KERNEL_FEATURES & TRACER_MEDIA
+    w->left[i] = hit->triangle;
+#endif
     if (photons > 1)
         put_aside(w, i, photons - 1);
     return true;
@@ -1271,12 +1305,8 @@ static inline uint32_t scatter_in_place(const tracer *t, worker *w, uint32_t cou
         const uint32_t i = list[k];
         path *p = &w->path[i];
         const lum_medium *m = &t->media[p->inside[p->nested - 1]].inside;
-        double share[3];
-        shares(p, share);
         lum_flight flight;
-        lum_medium_arrive(m, w->reach[i], (double)INFINITY, share, &p->rng, &flight);
-        const uint32_t photons = flight.event == LUM_FLIGHT_ABSORBED ? 0 : survivors(p, flight.factor);
-        w->counts.absorbed += units_of(p) * (1 - (int64_t)photons);
+        const uint32_t photons = fly_in_medium(w, i, m, (double)INFINITY, &flight);
         if (photons == 0) {
             w->ended[i] = true;
             continue;
@@ -1296,6 +1326,7 @@ static inline uint32_t scatter_in_place(const tracer *t, worker *w, uint32_t cou
         columns.direction[0][kept] = d.x;
         columns.direction[1][kept] = d.y;
         columns.direction[2][kept] = d.z;
+        w->left[i] = LUM_MISS;
         list[kept++] = i;
     }
     lum_phase_sample_many(kept, &columns);
@@ -1326,16 +1357,14 @@ static inline void wander(const tracer *t, worker *w, uint32_t first, uint32_t c
     }
     for (uint32_t step = 0; left > 0; ++step) {
         for (uint32_t k = 0; k < left; ++k) {
-            path *p = &w->path[list[k]];
-            double share[3];
-            shares(p, share);
-            w->reach[list[k]] = lum_medium_draw(&t->media[p->inside[p->nested - 1]].inside, share, &p->rng);
+            const path *p = &w->path[list[k]];
+            draw_reach(w, list[k], &t->media[p->inside[p->nested - 1]].inside);
         }
         if (step == STEPS || !t->clearance)
             return;
         bool clear[WAVE];
         uint32_t cleared = 0;
-        lum_clearance_many(t->clearance, left, list, w->origin, w->direction, w->reach, clear);
+        lum_clearance_many(t->clearance, left, list, w->origin, w->direction, w->reach, w->left, clear);
         for (uint32_t k = 0; k < left; ++k) {
             list[cleared] = list[k];
             cleared += clear[k];
@@ -1452,12 +1481,18 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
         /* From the last on: where nothing is left to start, what the last path leaves free has been dealt with. */
         while (free_count > 0) {
             const uint32_t i = free_place[--free_count];
+#if KERNEL_FEATURES & TRACER_MEDIA
+            w->left[i] = LUM_MISS;
+#endif
             if (refill(j, w, i, first, (uint32_t)count, &next))
                 continue;
             const uint32_t last = --w->alive;
             w->origin[i] = w->origin[last];
             w->direction[i] = w->direction[last];
             w->path[i] = w->path[last];
+#if KERNEL_FEATURES & TRACER_MEDIA
+            w->left[i] = w->left[last];
+#endif
         }
         if (w->alive == 0)
             return;

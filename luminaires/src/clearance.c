@@ -4,8 +4,9 @@
  * between parallel surfaces, as the two faces of a wall do: the cell knows the open slab between them in which its solid is.  A way
  * that starts in the cell and lies in the slab meets nothing.  Slabs bend as the walls do: their faces are level surfaces of a
  * quadratic function, which along a way is a parabola, so that ends and extreme tell all.  At an edge or in a corner there are
- * surfaces of two or three directions, and as many slabs.  Cells can be wider than a wall is thick, and are 32 bytes each, so that
- * those of a lamp stay in the cache.  Relies on scene_data.h.
+ * surfaces of two or three directions, and as many slabs.  Light that leaves a facet of a bent wall starts a little outside of the
+ * slab; of each triangle it is known how far above it and below nothing else is.  Cells can be wider than a wall is thick, and are
+ * 32 bytes each, so that those of a lamp stay in the cache.  Relies on scene_data.h.
  */
 #include <luminaires/scene.h>
 
@@ -18,7 +19,7 @@
 /* Cells at most; visits of triangles to cells at most: meshes so fine are left to Embree. */
 static const double MOST_CELLS = 1 << 18, MOST_VISITS = 6e6;
 /* Cells are so wide, in thicknesses of the walls; ways may be so long, in free paths (longer ones are rare) and in thicknesses. */
-static const double CELL = 2, LONGEST_PATHS = 4, LONGEST_WAY = 1.5;
+static const double CELL = 2, LONGEST_PATHS = 4, LONGEST_WAY = 2;
 /* Optical depth of a wall from which on it is worth it: in a thinner one most light comes to a surface. */
 static const double DENSE = 0.5;
 /* Triangles near a cell as a rule, and at most: in finer meshes cells are smaller and ways shorter, or cells say nothing. */
@@ -31,6 +32,8 @@ static const double ALIKE = 0.94;
 /* A way's start is off all surfaces by an error of theirs, less rounding in double; its end keeps as much from them as makes a hit
  * matter, in the largest error. */
 static const double START = 0.25, END = 2;
+/* A triangle's rim, of its heights. */
+static const double RIM = 0x1p-10;
 /* Directions of the triangles near a cell at most; what numbers that are rounded to whole ones have for 1. */
 enum { MOST_SLABS = 3, UNIT = 32767 };
 
@@ -48,6 +51,8 @@ struct lum_clearance {
     uint32_t size[3];
     slab *cells, *more;
     uint32_t more_count;
+    const lum_triangle *triangles; /* the scene's */
+    float *alone; /* per triangle: within this distance of its plane nothing else is above it or below, but at its rim */
 };
 
 /* What of a triangle is near a cell, from the cell's centre. */
@@ -86,20 +91,19 @@ static bool cells_near(const lum_clearance *c, const lum_triangle *t, uint32_t f
     return true;
 }
 
-/* Cuts a polygon by the plane where coordinate k is `at`; sign 1 keeps what is below, -1 what is above. */
-static uint32_t cut(uint32_t count, double (*restrict from)[3], double (*restrict to)[3], int k, double at, double sign)
+/* What of a polygon is where side[i] of its corners is not negative, side being linear. */
+static uint32_t cut(uint32_t count, double (*restrict from)[3], const double side[9], double (*restrict to)[3])
 {
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i++) {
-        const double *a = from[i], *b = from[i + 1 < count ? i + 1 : 0];
-        const double over_a = sign * (a[k] - at), over_b = sign * (b[k] - at);
-        if (over_a <= 0) {
-            memcpy(to[kept++], a, sizeof to[0]);
+        const uint32_t next = i + 1 < count ? i + 1 : 0;
+        if (side[i] >= 0) {
+            memcpy(to[kept++], from[i], sizeof to[0]);
         }
-        if ((over_a < 0 && over_b > 0) || (over_a > 0 && over_b < 0)) {
-            const double x = over_a / (over_a - over_b);
+        if ((side[i] > 0 && side[next] < 0) || (side[i] < 0 && side[next] > 0)) {
+            const double x = side[i] / (side[i] - side[next]);
             for (int l = 0; l < 3; l++) {
-                to[kept][l] = l == k ? at : a[l] + x * (b[l] - a[l]);
+                to[kept][l] = from[i][l] + x * (from[next][l] - from[i][l]);
             }
             kept++;
         }
@@ -123,8 +127,15 @@ static bool cut_piece(const lum_triangle *t, lmg_vec3 normal, lmg_vec3 centre, d
     }
     out->count = 3;
     for (int k = 0; k < 3 && out->count > 0 && !whole; k++) {
-        const uint32_t below = cut(out->count, out->corner, other, k, half, 1);
-        out->count = cut(below, other, out->corner, k, -half, -1);
+        double side[9];
+        for (uint32_t i = 0; i < out->count; i++) {
+            side[i] = half - out->corner[i][k];
+        }
+        const uint32_t below = cut(out->count, out->corner, side, other);
+        for (uint32_t i = 0; i < below; i++) {
+            side[i] = half + other[i][k];
+        }
+        out->count = cut(below, other, side, out->corner);
     }
     if (out->count == 0) {
         return false;
@@ -344,6 +355,83 @@ static bool fill_cell(lum_clearance *c, uint32_t count, piece pieces[], slab *ce
     return true;
 }
 
+/* The way from the middle of a triangle's edges inwards, 1 at the corner opposite edge k and 0 at the edge, is w . p + w[3]. */
+static void barycentrics(const lum_triangle *t, double w[3][4])
+{
+    const lmg_vec3 n = vec_from_float(t->ng);
+    for (int k = 0; k < 3; k++) {
+        const lmg_vec3 a = vec_from_float(t->v[(k + 1) % 3]), b = vec_from_float(t->v[(k + 2) % 3]), top = vec_from_float(t->v[k]);
+        const lmg_vec3 in = vec_cross(n, vec_sub(b, a));
+        const double height = vec_dot(in, vec_sub(top, a)), scale = height > 0 ? 1 / height : 0;
+        w[k][0] = in.x * scale;
+        w[k][1] = in.y * scale;
+        w[k][2] = in.z * scale;
+        w[k][3] = -vec_dot(in, a) * scale;
+    }
+}
+
+static double linear(const double w[4], const double p[3])
+{
+    return w[0] * p[0] + w[1] * p[1] + w[2] * p[2] + w[3];
+}
+
+/* How far from a triangle's plane, up to what a cell knows, nothing is above it or below but at its rim. */
+static double height_alone(const lum_clearance *c, const lum_scene *scene, uint32_t index, const uint32_t *first,
+                           const uint32_t *near)
+{
+    const lum_triangle *t = &scene->triangles[index];
+    const lmg_vec3 n = vec_from_float(t->ng), a = vec_from_float(t->v[0]);
+    double w[3][4], p[9][3], other[9][3], height = c->longest;
+    uint32_t cell = 0;
+    for (int k = 2; k >= 0; k--) {
+        const double middle = ((double)t->v[0][k] + (double)t->v[1][k] + (double)t->v[2][k]) / 3;
+        const double x = floor((middle - c->low[k]) * c->per_metre), centre = c->low[k] + (x + 0.5) * c->width;
+        if (!(x >= 0 && x < (double)c->size[k])) {
+            return 0;
+        }
+        cell = cell * c->size[k] + (uint32_t)x;
+        for (int i = 0; i < 3; i++) { /* what is that near is in the cell's list */
+            height = least_of(height, 0.5 * c->width + c->longest - fabs((double)t->v[i][k] - centre));
+        }
+    }
+    barycentrics(t, w);
+    for (uint32_t j = first[cell]; j < first[cell + 1] && height > 0; j++) {
+        const float(*v)[3] = scene->triangles[near[j]].v;
+        double least = (double)INFINITY, most[3] = {0, 0, 0}, lo = (double)INFINITY, hi = -(double)INFINITY;
+        if (near[j] == index) {
+            continue;
+        }
+        for (int i = 0; i < 3; i++) {
+            for (int k = 0; k < 3; k++) {
+                p[i][k] = (double)v[i][k];
+            }
+            for (int k = 0; k < 3; k++) {
+                most[k] = i == 0 ? linear(w[k], p[i]) : most_of(most[k], linear(w[k], p[i]));
+            }
+        }
+        uint32_t count = 3;
+        if (most[0] <= RIM || most[1] <= RIM || most[2] <= RIM) {
+            continue;
+        }
+        for (int k = 0; k < 3 && count > 0; k++) {
+            double side[9];
+            for (uint32_t i = 0; i < count; i++) {
+                side[i] = linear(w[k], p[i]) - RIM;
+            }
+            count = cut(count, p, side, other);
+            memcpy(p, other, sizeof p);
+        }
+        for (uint32_t i = 0; i < count; i++) {
+            const double h = vec_dot(n, vec_sub(vec(p[i][0], p[i][1], p[i][2]), a));
+            lo = least_of(lo, h);
+            hi = most_of(hi, h);
+        }
+        least = count == 0 ? (double)INFINITY : lo > 0 ? lo : hi < 0 ? -hi : 0;
+        height = least_of(height, least);
+    }
+    return height > 0 ? height * (1 - 0x1p-20) : 0;
+}
+
 /* Fills the cells; false: no memory. */
 static bool fill_cells(lum_clearance *c, const lum_scene *scene, double visits)
 {
@@ -401,6 +489,9 @@ static bool fill_cells(lum_clearance *c, const lum_scene *scene, double visits)
                 }
             }
         }
+    }
+    for (uint32_t i = 0; i < scene->model->triangle_count && enough; i++) {
+        c->alone[i] = (float)height_alone(c, scene, i, first, near);
     }
     free(first);
     free(near);
@@ -469,7 +560,9 @@ lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 h
         c->start = START * error * UNIT;
         c->end = END * error * UNIT;
         c->cells = malloc((size_t)c->size[0] * c->size[1] * c->size[2] * sizeof *c->cells);
-        enough = c->cells && fill_cells(c, scene, visits);
+        c->triangles = scene->triangles;
+        c->alone = malloc(((size_t)scene->model->triangle_count + 1) * sizeof *c->alone);
+        enough = c->cells && c->alone && fill_cells(c, scene, visits);
     }
     if (!enough) {
         lum_clearance_destroy(c);
@@ -485,41 +578,79 @@ void lum_clearance_destroy(lum_clearance *c)
         return;
     }
     free(c->cells);
+    free(c->alone);
     free(c->more);
     free(c);
 }
 
-/* Whether the way from q, from the cell's centre, to q + d lies in its slabs. */
-static inline bool stays_within(const lum_clearance *c, const slab *s, const double q[3], const double d[3])
+/* Whether the piece o + t d, 0 < t < end, of a way that leaves a triangle is so near to it that nothing else can be met; its end
+ * keeps a distance from everything. */
+static bool stays_alone(const lum_clearance *c, uint32_t triangle, const double o[3], const double d[3], double end,
+                        double distance)
+{
+    const lum_triangle *t = &c->triangles[triangle];
+    const double p[3] = {o[0] + end * d[0], o[1] + end * d[1], o[2] + end * d[2]};
+    const lmg_vec3 n = vec_from_float(t->ng), a = vec_from_float(t->v[0]);
+    const double start_height = vec_dot(n, vec_sub(vec(o[0], o[1], o[2]), a)),
+                 height = vec_dot(n, vec_sub(vec(p[0], p[1], p[2]), a));
+    if (!(start_height * height > 0 && fabs(height) > fabs(start_height) + distance &&
+          fabs(height) + distance < (double)c->alone[triangle])) {
+        return false;
+    }
+    double w[3][4];
+    barycentrics(t, w);
+    bool over = true;
+    for (int k = 0; k < 3; k++) {
+        over &= linear(w[k], o) > 2 * RIM && linear(w[k], p) > 2 * RIM;
+    }
+    return over;
+}
+
+/* Whether the way from q, from the cell's centre, to q + d lies in its slabs, but for its start at `left`, a triangle or LUM_MISS;
+ * o: its start in the model. */
+static inline bool stays_within(const lum_clearance *c, const slab *s, uint32_t left, const double o[3], const double q[3],
+                                const double d[3])
 {
     for (;;) {
         /* along the way f = from + slope t + square t^2, 0 < t < 1 */
         const double nx = s->n[0], ny = s->n[1], nz = s->n[2], lo = (double)s->lo, hi = (double)s->hi, bend = (double)s->bend;
-        double from = nx * q[0] + ny * q[1] + nz * q[2], slope = nx * d[0] + ny * d[1] + nz * d[2];
-        double to = from + slope, between = from;
+        double from = nx * q[0] + ny * q[1] + nz * q[2], slope = nx * d[0] + ny * d[1] + nz * d[2], square = 0;
         if (bend > 0) {
             const double xx = s->curve[0], yy = s->curve[1], zz = s->curve[2], xy = s->curve[3], xz = s->curve[4], yz = s->curve[5];
             const double gx = 2 * xx * q[0] + xy * q[1] + xz * q[2], gy = 2 * yy * q[1] + xy * q[0] + yz * q[2],
                          gz = 2 * zz * q[2] + xz * q[0] + yz * q[1];
             from += 0.5 * bend * (gx * q[0] + gy * q[1] + gz * q[2]);
             slope += bend * (gx * d[0] + gy * d[1] + gz * d[2]);
-            const double square =
-                bend * (d[0] * (xx * d[0] + xy * d[1] + xz * d[2]) + d[1] * (yy * d[1] + yz * d[2]) + zz * d[2] * d[2]);
-            to = from + slope + square;
-            /* its extreme is on the way where the slopes at the two ends differ in sign */
-            between = slope * (slope + 2 * square) < 0 ? from - 0.25 * slope * slope / square : from;
+            square = bend * (d[0] * (xx * d[0] + xy * d[1] + xz * d[2]) + d[1] * (yy * d[1] + yz * d[2]) + zz * d[2] * d[2]);
         }
-        const double least = least_of(from, between), most = most_of(from, between);
-        const bool within = (least - lo > c->start) & (hi - most > c->start) & (to - lo > c->end) & (hi - to > c->end);
-        if (s->more == 0 || !within) {
-            return within;
+        const double to = from + slope + square;
+        /* its extreme is on the way where the slopes at the two ends differ in sign */
+        const double between = slope * (slope + 2 * square) < 0 ? from - 0.25 * slope * slope / square : to;
+        const double least = least_of(to, between), most = most_of(to, between);
+        if (!((least - lo > c->start) & (hi - most > c->start) & (to - lo > c->end) & (hi - to > c->end))) {
+            return false;
+        }
+        if (!((from - lo > c->start) & (hi - from > c->start))) {
+            /* The start is out of the slab, the rest is in it from where f is as far in as it should be: the way goes inwards. */
+            const double short_of = from - lo > c->start ? hi - 2 * c->start - from : lo + 2 * c->start - from;
+            if (left == LUM_MISS || !(slope * short_of > 0)) {
+                return false;
+            }
+            const double in = 1.125 * short_of / slope, there = from + (slope + square * in) * in;
+            if (!(in < 1 && there - lo > c->start && hi - there > c->start && slope * (slope + 2 * square * in) > 0 &&
+                  stays_alone(c, left, o, d, in, 0))) {
+                return false;
+            }
+        }
+        if (s->more == 0) {
+            return true;
         }
         s = &c->more[s->more - 1];
     }
 }
 
 void lum_clearance_many(const lum_clearance *c, size_t count, const uint32_t *which, const lmg_vec3 *origins,
-                        const lmg_vec3 *directions, const double *reach, bool *clear)
+                        const lmg_vec3 *directions, const double *reach, const uint32_t *left, bool *clear)
 {
     const slab *cells[LUM_MAX_RAYS];
     double q[LUM_MAX_RAYS][3];
@@ -537,15 +668,18 @@ void lum_clearance_many(const lum_clearance *c, size_t count, const uint32_t *wh
         q[k][2] = p.z - (c->low[2] + ((double)l + 0.5) * c->width);
     }
     for (size_t k = 0; k < count; k++) {
-        const lmg_vec3 d = directions[which[k]];
+        const lmg_vec3 d = directions[which[k]], o = origins[which[k]];
         const double r = cells[k] == &SILENT ? 0 : reach[which[k]]; /* that may be infinite */
-        clear[k] = stays_within(c, cells[k], q[k], (const double[3]){r * d.x, r * d.y, r * d.z});
+        const double start[3] = {o.x, o.y, o.z}, way[3] = {r * d.x, r * d.y, r * d.z};
+        const uint32_t from = left ? left[which[k]] : LUM_MISS;
+        clear[k] = stays_within(c, cells[k], from, start, q[k], way) ||
+                   (from != LUM_MISS && r > 0 && stays_alone(c, from, start, way, 1, c->end / UNIT));
     }
 }
 
 bool lum_clearance_clear(const lum_clearance *c, lmg_vec3 origin, lmg_vec3 direction, double reach)
 {
     bool clear;
-    lum_clearance_many(c, 1, &(uint32_t){0}, &origin, &direction, &reach, &clear);
+    lum_clearance_many(c, 1, &(uint32_t){0}, &origin, &direction, &reach, NULL, &clear);
     return clear;
 }

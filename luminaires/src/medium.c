@@ -129,7 +129,7 @@ void lum_medium_arrive(const lum_medium *m, double drawn, double t_max, const do
         .event = passed ? LUM_FLIGHT_PASSED : LUM_FLIGHT_SCATTERED, .t = passed ? t_max : drawn, .factor = {1, 1, 1}, .g = m->g};
     if (!m->grey)
         arrive_coloured(m, share, rng, out);
-    else if (!passed && m->scattering[0] < m->extinction[0] && lum_rng_next(rng) * m->extinction[0] >= m->scattering[0])
+    else if (!passed && lum_medium_absorbs(m, rng))
         out->event = LUM_FLIGHT_ABSORBED;
 }
 

@@ -76,6 +76,12 @@ typedef struct lum_flight {
  * (INFINITY: none), lum_medium_arrive says what that means when the way ends at t_max. */
 double lum_medium_draw(const lum_medium *medium, const double share[3], lum_rng *rng);
 void lum_medium_arrive(const lum_medium *medium, double drawn, double t_max, const double share[3], lum_rng *rng, lum_flight *out);
+/* Of an event in a grey medium, where all factors are 1: whether it is absorption. */
+static inline bool lum_medium_absorbs(const lum_medium *medium, lum_rng *rng)
+{
+    const double scattering = medium->scattering[0], extinction = medium->extinction[0];
+    return scattering < extinction && lum_rng_next(rng) * extinction >= scattering;
+}
 void lum_medium_fly(const lum_medium *medium, double t_max, const double share[3], lum_rng *rng, lum_flight *out);
 
 /* --------------------------------------------------------------------------------------------- lattices of density */

@@ -68,8 +68,9 @@ bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direct
  * which is scattered many times before it gets anywhere.  Coordinates and threads as above.
  */
 typedef struct lum_clearance lum_clearance;
-/* For ways that start in low .. high, in walls of a thickness (metres), and mostly are a few free_path long.  *out is NULL, and that's no
- * error, where it would cost more than it saves: in thin media and very fine meshes.  The scene isn't kept. */
+/* For ways that start in low .. high, in walls of a thickness (metres), and mostly are a few free_path long.  *out is NULL, and
+ * that's no error, where it would cost more than it saves: in thin media and very fine meshes.  The scene is borrowed until
+ * destroy. */
 lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 high, double thickness, double free_path,
                                 lum_clearance **out, lmg_error *err);
 void lum_clearance_destroy(lum_clearance *clearance); /* accepts NULL */
@@ -77,9 +78,10 @@ void lum_clearance_destroy(lum_clearance *clearance); /* accepts NULL */
  * reach (may be INFINITY) and a little more; false: not known. */
 bool lum_clearance_clear(const lum_clearance *clearance, lmg_vec3 origin, lmg_vec3 direction, double reach);
 /* The same for at most LUM_MAX_RAYS ways at once: clear[k] of the way which[k] of the arrays.  Memory that one of them needs is on
- * its way while others are worked on. */
+ * its way while others are worked on.  left: of each way the triangle whose hit it starts from, LUM_MISS for none; or NULL: more
+ * ways are known to be clear where that is known.  Needs the scene. */
 void lum_clearance_many(const lum_clearance *clearance, size_t count, const uint32_t *which, const lmg_vec3 *origins,
-                        const lmg_vec3 *directions, const double *reach, bool *clear);
+                        const lmg_vec3 *directions, const double *reach, const uint32_t *left, bool *clear);
 
 /* Origin for a ray that leaves a hit in direction d: the hit's position moved off the surface, to the side d points to. */
 static inline lmg_vec3 lum_offset(const lum_hit *hit, lmg_vec3 d)
