@@ -6,7 +6,8 @@
  * quadratic function, which along a way is a parabola, so that ends and extreme tell all.  At an edge or in a corner there are
  * surfaces of two or three directions, and as many slabs.  Light that leaves a facet of a bent wall starts a little outside of the
  * slab; of each triangle it is known how far above it and below nothing else is.  Cells can be wider than a wall is thick, and are
- * 32 bytes each, so that those of a lamp stay in the cache.  Relies on scene_data.h.
+ * 32 bytes each, so that those of a lamp stay in the cache.  Relies on scene_data.h.  Inside, lengths are in the scene's
+ * unit.
  */
 #include <luminaires/scene.h>
 
@@ -25,7 +26,7 @@ static const double DENSE = 0.5;
 /* Triangles near a cell as a rule, and at most: in finer meshes cells are smaller and ways shorter, or cells say nothing. */
 static const double NEAR = 150;
 enum { MOST_NEAR = 512 };
-/* A slab's function changes by at most 1 + STEEP per metre, so that END is distance enough. */
+/* A slab's function changes by at most 1 + STEEP per length, so that END is distance enough. */
 static const double STEEP = 0.5;
 /* Triangles are of one direction when their normals are that near to each other. */
 static const double ALIKE = 0.94;
@@ -46,7 +47,8 @@ typedef struct slab {
 } slab;
 
 struct lum_clearance {
-    double low[3], per_metre, width, longest;
+    double per_unit; /* 1 / the scene's unit in metres */
+    double low[3], per_length, width, longest;
     double start, end; /* distances that ends keep from slabs' planes, times UNIT */
     uint32_t size[3];
     slab *cells, *more;
@@ -77,11 +79,11 @@ static double most_of(double a, double b)
 /* The cells that a triangle's box is near. */
 static bool cells_near(const lum_clearance *c, const lum_triangle *t, uint32_t from[3], uint32_t to[3])
 {
-    const double beyond = c->longest * c->per_metre + 0x1p-20;
+    const double beyond = c->longest * c->per_length + 0x1p-20;
     for (int k = 0; k < 3; k++) {
         const double a = (double)t->v[0][k], b = (double)t->v[1][k], d = (double)t->v[2][k];
-        const double first = floor((least_of(a, least_of(b, d)) - c->low[k]) * c->per_metre - beyond);
-        const double last = floor((most_of(a, most_of(b, d)) - c->low[k]) * c->per_metre + beyond);
+        const double first = floor((least_of(a, least_of(b, d)) - c->low[k]) * c->per_length - beyond);
+        const double last = floor((most_of(a, most_of(b, d)) - c->low[k]) * c->per_length + beyond);
         if (last < 0 || first >= (double)c->size[k]) {
             return false;
         }
@@ -385,7 +387,7 @@ static double height_alone(const lum_clearance *c, const lum_scene *scene, uint3
     uint32_t cell = 0;
     for (int k = 2; k >= 0; k--) {
         const double middle = ((double)t->v[0][k] + (double)t->v[1][k] + (double)t->v[2][k]) / 3;
-        const double x = floor((middle - c->low[k]) * c->per_metre), centre = c->low[k] + (x + 0.5) * c->width;
+        const double x = floor((middle - c->low[k]) * c->per_length), centre = c->low[k] + (x + 0.5) * c->width;
         if (!(x >= 0 && x < (double)c->size[k])) {
             return 0;
         }
@@ -526,7 +528,7 @@ static void choose_sizes(lum_clearance *c, const lum_scene *scene, const double 
         width *= 1.05;
     }
     c->width = width;
-    c->per_metre = 1 / width;
+    c->per_length = 1 / width;
     for (int k = 0; k < 3; k++) {
         c->size[k] = (uint32_t)floor(extent[k] / width) + 1;
     }
@@ -536,6 +538,10 @@ lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 h
                                 lum_clearance **out, lmg_error *err)
 {
     *out = NULL;
+    low = vec_scale(low, scene->per_unit);
+    high = vec_scale(high, scene->per_unit);
+    thickness *= scene->per_unit;
+    free_path *= scene->per_unit;
     const double extent[3] = {high.x - low.x, high.y - low.y, high.z - low.z};
     if (!(free_path > 0 && thickness >= DENSE * free_path && extent[0] >= 0 && extent[1] >= 0 && extent[2] >= 0)) {
         return LMG_OK;
@@ -543,7 +549,7 @@ lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 h
     lum_clearance *c = calloc(1, sizeof *c);
     bool enough = c != NULL;
     if (c) {
-        *c = (lum_clearance){.low = {low.x, low.y, low.z}};
+        *c = (lum_clearance){.per_unit = scene->per_unit, .low = {low.x, low.y, low.z}};
         choose_sizes(c, scene, extent, thickness, free_path);
         double visits = 0, error = 0;
         for (uint32_t i = 0; i < scene->model->triangle_count; i++) {
@@ -655,11 +661,11 @@ void lum_clearance_many(const lum_clearance *c, size_t count, const uint32_t *wh
     const slab *cells[LUM_MAX_RAYS];
     double q[LUM_MAX_RAYS][3];
     for (size_t k = 0; k < count; k++) {
-        const lmg_vec3 p = origins[which[k]];
-        const double x = (p.x - c->low[0]) * c->per_metre, y = (p.y - c->low[1]) * c->per_metre,
-                     z = (p.z - c->low[2]) * c->per_metre;
+        const lmg_vec3 p = vec_scale(origins[which[k]], c->per_unit);
+        const double x = (p.x - c->low[0]) * c->per_length, y = (p.y - c->low[1]) * c->per_length,
+                     z = (p.z - c->low[2]) * c->per_length;
         const bool in = (x >= 0) & (x < (double)c->size[0]) & (y >= 0) & (y < (double)c->size[1]) & (z >= 0) &
-                        (z < (double)c->size[2]) & (reach[which[k]] <= c->longest);
+                        (z < (double)c->size[2]) & (reach[which[k]] * c->per_unit <= c->longest);
         const int64_t i = in ? (int64_t)x : 0, j = in ? (int64_t)y : 0, l = in ? (int64_t)z : 0;
         cells[k] = in ? &c->cells[(l * c->size[1] + j) * c->size[0] + i] : &SILENT;
         __builtin_prefetch(cells[k]);
@@ -668,8 +674,8 @@ void lum_clearance_many(const lum_clearance *c, size_t count, const uint32_t *wh
         q[k][2] = p.z - (c->low[2] + ((double)l + 0.5) * c->width);
     }
     for (size_t k = 0; k < count; k++) {
-        const lmg_vec3 d = directions[which[k]], o = origins[which[k]];
-        const double r = cells[k] == &SILENT ? 0 : reach[which[k]]; /* that may be infinite */
+        const lmg_vec3 d = directions[which[k]], o = vec_scale(origins[which[k]], c->per_unit);
+        const double r = cells[k] == &SILENT ? 0 : reach[which[k]] * c->per_unit; /* that may be infinite */
         const double start[3] = {o.x, o.y, o.z}, way[3] = {r * d.x, r * d.y, r * d.z};
         const uint32_t from = left ? left[which[k]] : LUM_MISS;
         clear[k] = stays_within(c, cells[k], from, start, q[k], way) ||
