@@ -21,9 +21,10 @@
 #include <time.h>
 
 /* The pilot takes a twentieth of the bake, at most 400,000 photons (more don't change a layout of some million cells) and at least
- * 20,000 (fewer don't tell where the light is). */
-static const uint64_t PILOT_MIN = 20000, PILOT_MAX = 400000;
-static const double PILOT_SHARE = 0.05;
+ * 20,000 (fewer don't tell where the light is); a tenth of a bake that is asked for in photons as long as that isn't more than
+ * 100,000, since with fewer chance chooses too much of the layout. */
+static const uint64_t PILOT_MIN = 20000, PILOT_GOOD = 100000, PILOT_MAX = 400000;
+static const double PILOT_SHARE = 0.05, PILOT_SHORT_SHARE = 0.1;
 /* Rounds last about this long: often enough for progress and Ctrl-C, seldom enough that starting threads costs nothing. */
 static const double ROUND_SECONDS = 0.5;
 static const uint64_t ROUND_MIN = 8192;
@@ -164,7 +165,8 @@ static lmg_result run_pilot(bake *b, double seconds, lmg_error *err)
     const bake_options *o = b->options;
     uint64_t wanted = o->pilot_photons;
     if (wanted == 0 && o->photons > 0) {
-        wanted = (uint64_t)(PILOT_SHARE * (double)(o->whole > 0 ? o->whole : o->photons));
+        const double whole = (double)(o->whole > 0 ? o->whole : o->photons);
+        wanted = (uint64_t)fmax(PILOT_SHARE * whole, fmin(PILOT_SHORT_SHARE * whole, (double)PILOT_GOOD));
         wanted = wanted < PILOT_MIN ? PILOT_MIN : wanted > PILOT_MAX ? PILOT_MAX : wanted;
     }
     const double began = bake_clock();

@@ -6,7 +6,7 @@
  * fit has found, and whatever passes beside them is taken as exact: all in the tables' favour.  So is that the best table is chosen
  * for each measure by itself.
  *
- * Measures, relative RMS each, no noise of judging in them:
+ * Measures, relative RMS each, no noise of judging in their mean:
  * - illuminance on planes of 32 x 32 pixels at 0.5 to 20 sizes, all in one and one by one; far-field intensity in 32 x 64 bins;
  * - luminance pictures: orthographic, 64 x 64 pixels, from eight directions, all in one;
  * - radiance, weighted with etendue (L2).
@@ -16,7 +16,7 @@
  * infinitely many photons would (half against half, in common random numbers); their noise is that of a Poisson count, spread as
  * the cells spread it: the chance that a photon moved twice meets the same pixel both times.  Pictures and the square of the lamp's
  * radiance are those of paths followed backwards (viewer), the cross term with the box is the box's mean radiance along the lamp's
- * photons.
+ * photons.  What of squares is below its standard error isn't told from nothing: two such errors count as alike.
  *
  * Usage: test_bench_reconstruction [LAMP|all [photons [cells, 0 = as many as the photons are worth [judging photons [sizes of
  * tables [rays]]]]]]; a line of JSON for each lamp.  rays: traced backwards for each photon that leaves, beside the box's photons (0; -1: as
@@ -40,8 +40,7 @@ enum { FAR = PLANES, RECEIVERS, BINS = RINGS * SECTORS }; /* bins: of the larges
 static const double DISTANCE[PLANES] = {0.5, 1, 2, 5, 10, 20};
 /* Directions of the pictures, degrees from the main axis: where a beam is, at its border, and where there is stray light only. */
 static const double TILT[VIEWS] = {0, 3, 6, 15, 30, 45, 60, 75};
-/* Backward paths for the square of the lamp's radiance. */
-enum { SQUARE_PATHS = 100000, ROUND = 1000000 };
+enum { ROUND = 1000000 };
 static const uint64_t SEED = 11;
 
 static void demand(lmg_result r, const lmg_error *err)
@@ -326,9 +325,10 @@ typedef struct trial {
     uint32_t table_count;
     table *tables[MAX_TABLES];
     double judged;        /* photons emitted for judging */
-    double cross, square; /* sums over judging photons: the box's radiance along them; backward paths along some of them */
+    double cross, square; /* sums over judging photons: the box's radiance along them; a backward path along each */
     double table_cross[MAX_TABLES];
-    uint64_t square_paths, seen;
+    double missing, missing_squares; /* sums of what a photon adds to the squared error of radiance, and of its square */
+    uint64_t seen;
 } trial;
 
 static void fill_tables(void *self, const lmg_ray *rays, size_t n)
@@ -360,12 +360,12 @@ static void judge_by(void *self, const lmg_ray *rays, size_t n)
         lmg_vec3 beyond = v_fma(ray->origin, 4 * t->in.radius, ray->direction);
         float rgb[3];
         lmg_field_radiance(t->field, beyond, ray->direction, LMG_NEAREST, rgb, NULL);
+        const double there = look(t->lamp, beyond, ray->direction, &rng), missing = y * (there - 2 * lmg_luminance(rgb));
         t->cross += y * lmg_luminance(rgb);
+        t->square += y * there;
+        t->missing += missing;
+        t->missing_squares += missing * missing;
         t->seen++;
-        if (t->square_paths < SQUARE_PATHS) {
-            t->square += y * look(t->lamp, beyond, ray->direction, &rng);
-            t->square_paths++;
-        }
         for (uint32_t k = 0; k < t->table_count; k++) {
             table_spread(t->tables[k], &t->in, ray, before, &rng);
             uint32_t i[4];
@@ -395,9 +395,9 @@ static picture_ray sight(const instrument *in, int view, uint32_t pixel, int hal
     return (picture_ray){v_fma(at, 4 * in->radius, travel), travel};
 }
 
-static void judge_pictures(trial *t, errors *box, double lumens_per_photon)
+static void judge_pictures(trial *t, errors *box, errors *floor, double lumens_per_photon)
 {
-    double energy = 0, sum = 0, sums[MAX_TABLES] = {0};
+    double energy = 0, sum = 0, squares = 0, sums[MAX_TABLES] = {0};
     for (int view = 0; view < VIEWS; view++)
         for (uint32_t pixel = 0; pixel < PICTURE * PICTURE; pixel++) {
             double truth[2] = {0}, ours[2] = {0}, theirs[MAX_TABLES][2] = {{0}};
@@ -420,19 +420,23 @@ static void judge_pictures(trial *t, errors *box, double lumens_per_photon)
                     }
                 }
             energy += truth[0] * truth[1];
-            sum += (ours[0] - truth[0]) * (ours[1] - truth[1]);
+            const double product_of_halves = (ours[0] - truth[0]) * (ours[1] - truth[1]);
+            sum += product_of_halves;
+            squares += product_of_halves * product_of_halves;
             for (uint32_t k = 0; k < t->table_count; k++)
                 sums[k] += (theirs[k][0] - truth[0]) * (theirs[k][1] - truth[1]);
         }
     box->pictures = sum / energy;
+    floor->pictures = sqrt(squares) / energy;
     for (uint32_t k = 0; k < t->table_count; k++)
         t->tables[k]->error.pictures = sums[k] / energy;
 }
 
-/* Rays of the box in the receivers, for box and reference scaled to lumens. */
-static double emit(const trial *t, uint64_t count, images *out)
+/* Rays of the box in the receivers, for box and reference scaled to lumens; the box's mean radiance along them, and the standard
+ * error of that. */
+static double emit(const trial *t, uint64_t count, images *out, double *se)
 {
-    double self = 0;
+    double self = 0, squares = 0;
     for (uint64_t n = 0; n < count; n++) {
         lum_rng rng = lum_rng_stream(SEED + 6, n);
         double xi[5];
@@ -448,9 +452,13 @@ static double emit(const trial *t, uint64_t count, images *out)
                 (*out)[n & 1][k][px] += 1;
         }
         lmg_field_radiance(t->field, v_fma(ray.origin, 4 * t->in.radius, ray.direction), ray.direction, LMG_NEAREST, rgb, NULL);
-        self += lmg_luminance(rgb);
+        const double l = lmg_luminance(rgb);
+        self += l;
+        squares += l * l;
     }
-    return self / (double)count;
+    self /= (double)count;
+    *se = sqrt(fmax(squares / (double)count - self * self, 0) / (double)count);
+    return self;
 }
 
 /* ------------------------------------------------------------------------------------------------------------- printing */
@@ -563,19 +571,21 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     t.reference = reserve(1, sizeof *t.reference);
     for_photons(&l, UINT64_C(1) << 40, judging, judge_by, &t);
     images *emitted = reserve(1, sizeof *emitted);
-    const double self = emit(&t, judging, emitted);
+    double self_se;
+    const double self = emit(&t, judging, emitted, &self_se);
     const double flux = l.source->flux, per_judge = flux / (double)judging, per_photon = flux / (double)photons,
                  per_emitted = ledger.stored / (double)judging;
 
-    errors box = {0}, floor = {.pictures = 4e-6, .radiance = 4e-6};
+    errors box = {0}, floor = {0};
     /* squares of radiance, lm cd/m2: box, box x lamp, lamp */
-    const double bb = ledger.stored * self, bl = per_judge * t.cross,
-                 ll = per_judge * t.square * (double)t.seen / (double)t.square_paths;
+    const double bb = ledger.stored * self, bl = per_judge * t.cross, ll = per_judge * t.square;
     box.radiance = (bb - 2 * bl + ll) / ll;
+    floor.radiance =
+        hypot(ledger.stored * self_se, per_judge * sqrt(fmax(t.missing_squares - t.missing * t.missing / (double)t.seen, 0))) / ll;
     /* Cauchy and Schwarz: no light has less, but for noise; a lamp whose light paths don't find (fluorescence, say) has */
     const bool seen = ll > 0.9 * bl * bl / bb;
     if (seen)
-        judge_pictures(&t, &box, per_photon);
+        judge_pictures(&t, &box, &floor, per_photon);
     double scale = 2 * per_judge;
     for (int k = 0; k < RECEIVERS; k++) {
         double half[2][BINS], energy = product((*t.reference)[0][k], (*t.reference)[1][k], BINS) * scale * scale;
