@@ -133,18 +133,16 @@ static json_t *study_json(const command *c, const study *s)
     }
     for (int m = 0; m < JUDGE_MEASURES; ++m)
         json_object_set_new(fits, KEYS[m],
-                            json_pack("{s:o, s:o, s:o, s:o, s:o}", "scale", json_number(s->fit[m].scale), "floor",
-                                      json_number(s->fit[m].floor), "over_photons", slope_json(s->fit[m].over_photons), "over_time",
+                            json_pack("{s:o, s:o, s:o, s:o}", "of_1e6_photons", json_number(report_slope_y(s->fit[m].over_photons, 1e6)), "over_photons", slope_json(s->fit[m].over_photons), "over_time",
                                       slope_json(s->fit[m].over_seconds), "reference_noise", json_number(s->reference_noise[m])));
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         const study_advice *a = &s->advice[t];
         char line[1024];
         json_t *text = a->reachable ? json_string(study_command(a, c->lamp.path, line, sizeof(line))) : json_null();
-        json_array_append_new(advice, json_pack("{s:o, s:f, s:b, s:I, s:I, s:f, s:f}", "command", text, "target", a->target,
-                                                "reachable", a->reachable, "photons", (json_int_t)a->photons, "cells",
-                                                (json_int_t)a->cells, "seconds", a->seconds, "bytes", a->bytes));
+        json_array_append_new(advice, json_pack("{s:o, s:f, s:b, s:I, s:f, s:f}", "command", text, "target", a->target,
+                                                "reachable", a->reachable, "photons", (json_int_t)a->photons, "seconds", a->seconds, "bytes", a->bytes));
     }
-    return json_pack("{s:s, s:s, s:f, s:I, s:f, s:f, s:o, s:o, s:o, s:o}", "format", "lumibake study 2", "lamp", c->lamp.path,
+    return json_pack("{s:s, s:s, s:f, s:I, s:f, s:f, s:o, s:o, s:o, s:o}", "format", "lumibake study 3", "lamp", c->lamp.path,
                      "size_m", s->size, "reference_photons", (json_int_t)s->reference_photons, "photons_per_second",
                      s->photons_per_second, "deposit_share", s->deposit_share, "rungs", rungs, "fits", fits, "advice", advice,
                      "combined_why", s->combined_why[0] ? json_string(s->combined_why) : json_null());
@@ -157,9 +155,9 @@ static void print_study(const command *c, const study *s)
         print_rung(stdout, &s->rungs[i]);
     for (int m = 0; m < JUDGE_MEASURES; ++m) {
         char photons[64], seconds[64];
-        printf("%-24s slope over photons %s, over time %s (95 %%), floor %.2f %%\n", judge_measure_name((judge_measure)m),
+        printf("%-24s slope over photons %s, over time %s (95 %%), %.2f %% with 1e6 photons\n", judge_measure_name((judge_measure)m),
                report_slope_text(s->fit[m].over_photons, "+-", photons), report_slope_text(s->fit[m].over_seconds, "+-", seconds),
-               100 * s->fit[m].floor);
+               100 * report_slope_y(s->fit[m].over_photons, 1e6));
     }
     if (s->combined_why[0])
         printf("no ladder of photons and rays traced backwards: %s\n", s->combined_why);
@@ -171,7 +169,7 @@ static void print_study(const command *c, const study *s)
             printf("%4g %%: %s, about %.2g s and %.2g MB\n", 100 * a->target, study_command(a, c->lamp.path, line, sizeof(line)),
                    a->seconds, 1e-6 * a->bytes);
         else
-            printf("%4g %%: not reached by any number of cells tried\n", 100 * a->target);
+            printf("%4g %%: not foretold; give the study more time\n", 100 * a->target);
     }
 }
 

@@ -17,14 +17,17 @@ static const double TARGETS[STUDY_TARGETS] = {0.05, 0.02, 0.01, 0.005};
 /* Shares of the study's time: the lamp's own rays; the ladder of photons, each rung twice the one before; the ladder of cells; that
  * of photons and rays traced backwards.  What is left goes into judging the boxes. */
 static const double REFERENCE_SHARE = 0.22, PHOTON_SHARE = 0.25, CELL_SHARE = 0.2, COMBINED_SHARE = 0.1;
-/* The ladders: photons from 1/128 of the largest bake on, cells in steps of four around the default, both in steps of four up to
+/* The ladders: photons from 1/128 of the largest bake on, cells in steps of four, both in steps of four up to
  * what takes about as long as the largest bake of photons. */
 enum { PHOTON_RUNGS = 8, CELL_RUNGS = 4, COMBINED_RUNGS = 4 };
 enum { JUDGED = 2 * (PHOTON_RUNGS + CELL_RUNGS) + COMBINED_RUNGS }; /* boxes of photons twice */
 static const uint64_t CELLS[CELL_RUNGS] = {250000, 1000000, 4000000, 16000000};
-static const uint64_t DEFAULT_CELLS = 4000000;
 /* Rays that a box is judged by, at least, however short the study: below that the judging's own noise hides errors of ten percent. */
 static const uint64_t LEAST_JUDGING = 100000;
+/* A bake's own luck moves its error by so much, beyond the noise of judging: no rung is known better. */
+static const double LUCK = 0.1;
+/* Power laws are followed so many times beyond the largest bake. */
+static const double FORETOLD = 100;
 static const uint64_t TRIAL = 100000; /* photons that tell the speed */
 
 typedef struct ladder {
@@ -68,11 +71,12 @@ static double processor_clock(void)
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
+/* cells: 0 = as many as the photons are worth. */
 static lmg_result bake_rung(ladder *l, study_ladder kind, uint64_t photons, uint64_t cells, lmg_error *err)
 {
     study *s = l->out;
     study_rung *rung = &s->rungs[s->rung_count];
-    *rung = (study_rung){.ladder = kind, .photons = photons, .cells_asked = cells, .plain = no_verdict()};
+    *rung = (study_rung){.ladder = kind, .photons = photons, .plain = no_verdict()};
     const bake_options options = {.photons = photons,
                                   .seed = l->options->seed,
                                   .threads = l->options->threads,
@@ -162,76 +166,58 @@ static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
 
 /* ------------------------------------------------------------------------------------------------------------- fitting */
 
-/* Least squares of error^2 = scale / n + floor^2 with both terms >= 0, weights from the errors of the errors, and the slopes. */
 static study_fit fit_ladder(const study *s, judge_measure m)
 {
-    double w0 = 0, wx = 0, wxx = 0, wy = 0, wxy = 0;
-    double photons[STUDY_MAX_RUNGS], seconds[STUDY_MAX_RUNGS], error[STUDY_MAX_RUNGS];
+    double photons[STUDY_MAX_RUNGS], seconds[STUDY_MAX_RUNGS], error[STUDY_MAX_RUNGS], relative[STUDY_MAX_RUNGS];
     size_t count = 0;
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
         const judge_error e = r->verdict.error[m];
-        if (r->ladder != STUDY_PHOTONS || !isfinite(e.rms))
+        if (r->ladder != STUDY_PHOTONS || !(e.rms > 0)) /* no less than nothing: all noise of judging */
             continue;
-        const double x = 1 / (double)r->photons, y = e.rms * fabs(e.rms);
-        /* Relative weights: no rung is known better than to 5 %, as the errors' errors leave out how a bake's own luck moves it. */
-        const double se = hypot(2 * fabs(e.rms) * e.standard_error, 0.1 * fabs(y)), w = se > 0 ? 1 / (se * se) : 0;
-        w0 += w, wx += w * x, wxx += w * x * x, wy += w * y, wxy += w * x * y;
         photons[count] = (double)r->photons;
         seconds[count] = r->processor_seconds;
+        relative[count] = hypot(e.standard_error / e.rms, LUCK);
         error[count++] = e.rms;
     }
-    study_fit f = {.scale = NAN, .floor = NAN};
-    const double determinant = w0 * wxx - wx * wx;
-    if (determinant > 0) {
-        f.scale = (w0 * wxy - wx * wy) / determinant;
-        double square = (wxx * wy - wx * wxy) / determinant;
-        if (square < 0) { /* all noise */
-            square = 0;
-            f.scale = wxy / wxx;
-        } else if (f.scale < 0) { /* all floor */
-            f.scale = 0;
-            square = wy / w0;
-        }
-        f.floor = sqrt(square);
-    }
-    f.over_photons = report_slope_fit(photons, error, count);
-    f.over_seconds = report_slope_fit(seconds, error, count);
-    return f;
+    return (study_fit){.over_photons = report_slope_fit(photons, error, relative, count),
+                       .over_seconds = report_slope_fit(seconds, error, relative, count)};
 }
 
-/* For each target the rung of the ladder of cells (its floor: its error without the noise that the fit gives its photons) that
- * reaches it in the shortest time, and the photons for that. */
+/* By the ladder of photons: what a plain bake of so many photons is off by, how long it takes and how large it is. */
 static void give_advice(study *s)
 {
-    const study_fit *f = &s->fit[JUDGE_NEAR];
+    const report_slope error = s->fit[JUDGE_NEAR].over_photons;
+    const study_rung *least = NULL, *most = NULL;
+    double photons[STUDY_MAX_RUNGS], bytes[STUDY_MAX_RUNGS];
+    size_t count = 0;
+    for (size_t i = 0; i < s->rung_count; ++i) {
+        const study_rung *r = &s->rungs[i];
+        if (r->ladder != STUDY_PHOTONS)
+            continue;
+        least = least ? least : r;
+        most = r;
+        photons[count] = (double)r->photons;
+        bytes[count++] = (double)r->bytes;
+    }
+    const report_slope size = report_slope_fit(photons, bytes, NULL, count);
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         study_advice *a = &s->advice[t];
         *a = (study_advice){.target = TARGETS[t]};
-        for (size_t i = 0; i < s->rung_count; ++i) {
-            const study_rung *r = &s->rungs[i];
-            if (r->ladder != STUDY_CELLS || !(f->scale >= 0))
-                continue;
-            /* A standard error to be on the safe side: what is hardly known mustn't come out as good. */
-            const double e = r->verdict.error[JUDGE_NEAR].rms + r->verdict.error[JUDGE_NEAR].standard_error;
-            const double floor2 = fmax(0, e * fabs(e) - f->scale / (double)r->photons);
-            const double room = TARGETS[t] * TARGETS[t] - floor2;
-            if (!(room > 0))
-                continue;
-            const double photons = fmax(f->scale / room, 1e5);
-            const double fixed = r->pilot_seconds + r->reconstruct_seconds + r->write_seconds;
-            const double seconds = fixed + photons * r->trace_seconds / (double)r->photons;
-            if (!a->reachable || seconds < a->seconds)
-                *a = (study_advice){.target = TARGETS[t], .reachable = true, .photons = (uint64_t)ceil(photons), .cells = r->cells_asked,
-                                    .seconds = seconds, .bytes = (double)r->bytes};
-        }
+        const double n = error.slope < 0 ? fmax(report_slope_x(error, TARGETS[t]), (double)least->photons) : (double)NAN;
+        if (!(n <= FORETOLD * (double)most->photons))
+            continue;
+        a->reachable = true;
+        a->photons = (uint64_t)ceil(n);
+        a->seconds = study_rung_seconds(most) + (n / (double)most->photons - 1) * most->trace_seconds;
+        a->bytes = report_slope_y(size, n);
     }
 }
 
 const char *study_command(const study_advice *a, const char *lamp, char *text, size_t size)
 {
     const char *slash = strrchr(lamp, '/'), *name = slash ? slash + 1 : lamp, *dot = strrchr(name, '.');
-    snprintf(text, size, "lumibake bake %s --photons %.2g --cells %.3g -o %.*s.box.exr", lamp, (double)a->photons, (double)a->cells,
+    snprintf(text, size, "lumibake bake %s --photons %.2g -o %.*s.box.exr", lamp, (double)a->photons,
              (int)(dot && dot > name ? dot - name : (long)strlen(name)), name);
     return text;
 }
@@ -277,7 +263,7 @@ static lmg_result climb_combined(ladder *l, lmg_error *err)
     for (int i = 0; !stopped(l) && i < COMBINED_RUNGS; ++i) {
         lmg_error why = {{0}};
         const lmg_result result =
-            bake_rung(l, STUDY_COMBINED, (uint64_t)(largest / (double)(1 << 2 * (COMBINED_RUNGS - 1 - i))), DEFAULT_CELLS, &why);
+            bake_rung(l, STUDY_COMBINED, (uint64_t)(largest / (double)(1 << 2 * (COMBINED_RUNGS - 1 - i))), 0, &why);
         if (result == LMG_ERROR_UNSUPPORTED) {
             snprintf(s->combined_why, sizeof(s->combined_why), "%.199s", why.message);
             return LMG_OK;
@@ -296,7 +282,7 @@ static lmg_result climb(ladder *l, lmg_error *err)
     lmg_result result = LMG_OK;
     l->planned = PHOTON_RUNGS + CELL_RUNGS + COMBINED_RUNGS;
     for (int i = 0; result == LMG_OK && !stopped(l) && i < PHOTON_RUNGS; ++i)
-        result = bake_rung(l, STUDY_PHOTONS, (uint64_t)(largest / (double)(1 << (PHOTON_RUNGS - 1 - i))), DEFAULT_CELLS, err);
+        result = bake_rung(l, STUDY_PHOTONS, (uint64_t)(largest / (double)(1 << (PHOTON_RUNGS - 1 - i))), 0, err);
     if (result == LMG_OK && s->rung_count > 0) {
         const study_rung *top = &s->rungs[s->rung_count - 1];
         s->photons_per_second = (double)top->photons / study_rung_seconds(top);

@@ -13,14 +13,14 @@
 
 enum { STUDY_MAX_RUNGS = 24, STUDY_TARGETS = 4 };
 
-/* Rising numbers of photons; of cells, by the same photons; of photons and as many rays traced backwards as photons leave. */
+/* Rising numbers of photons, in the cells that they are worth; of cells, by the same photons; of photons and as many rays traced
+ * backwards as photons leave. */
 typedef enum study_ladder { STUDY_PHOTONS, STUDY_CELLS, STUDY_COMBINED, STUDY_LADDERS } study_ladder;
 const char *study_ladder_name(study_ladder ladder); /* "photons", "cells", "combined" */
 
 typedef struct study_rung {
     study_ladder ladder;
     uint64_t photons, cells, bytes; /* cells: as laid out */
-    uint64_t cells_asked;
     uint64_t gathered_rays; /* traced backwards */
     double pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds, write_seconds;
     double processor_seconds; /* of the same, all threads together: what a busy machine doesn't change */
@@ -32,17 +32,16 @@ typedef struct study_rung {
 /* All in: what the whole bake took. */
 double study_rung_seconds(const study_rung *rung);
 
-/* error^2 = scale / photons + floor^2, fitted to the ladder of photons, and slopes of log(error). */
+/* Power laws of the error, fitted to the ladder of photons. */
 typedef struct study_fit {
-    double scale, floor;
     report_slope over_photons, over_seconds; /* of processors */
 } study_fit;
 
-/* The cheapest command that reaches a target of the near-field error. */
+/* The photons of a plain bake that reach a target of the near-field error, by its power law. */
 typedef struct study_advice {
     double target;
-    bool reachable;
-    uint64_t photons, cells;
+    bool reachable; /* not so: errors don't fall, or it takes over 100 times the photons of the largest bake */
+    uint64_t photons;
     double seconds, bytes;
 } study_advice;
 

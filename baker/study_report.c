@@ -96,19 +96,18 @@ static void add_rungs(report_page *page, const study *s)
 static void add_fits(report_page *page, const study *s)
 {
     report_page_table(
-        page, "measure\tslope of log error over log photons\tover log processor seconds\tfloor, %\tnoise of 10\u2076 photons, "
-              "%\tnoise of the reference, %");
+        page, "measure\tslope of log error over log photons\tover log processor seconds\tof 10\u2076 photons, %\tnoise of the reference, %");
     for (int m = 0; m < JUDGE_MEASURES; ++m) {
         const study_fit *f = &s->fit[m];
         char photons[64], seconds[64];
-        report_page_row(page, "%s\t%s\t%s\t%.3g\t%.3g\t%.3g", judge_measure_name((judge_measure)m),
+        report_page_row(page, "%s\t%s\t%s\t%.3g\t%.3g", judge_measure_name((judge_measure)m),
                         report_slope_text(f->over_photons, "\u00b1", photons),
-                        report_slope_text(f->over_seconds, "\u00b1", seconds), 100 * f->floor, 100 * sqrt(f->scale / 1e6),
+                        report_slope_text(f->over_seconds, "\u00b1", seconds), 100 * report_slope_y(f->over_photons, 1e6),
                         100 * s->reference_noise[m]);
     }
     report_page_table_end(page);
-    report_page_text(page, "Slopes with what they are within at 95 %% confidence; noise alone has -0.5. Fit: error\u00b2 = scale / "
-                           "photons + floor\u00b2. The floor is what the cells blur.");
+    report_page_text(page, "Slopes with what they are within at 95 %% confidence. Noise in the same cells alone has -0.5; more "
+                           "photons are worth more cells, which blur less.");
 }
 
 static void add_advice(report_page *page, const study *s, const char *lamp)
@@ -122,7 +121,7 @@ static void add_advice(report_page *page, const study *s, const char *lamp)
             report_page_row(page, "%g %%\t%s\t%.2g\t%.2g", 100 * a->target, study_command(a, lamp, command, sizeof(command)),
                             a->seconds, 1e-6 * a->bytes);
         else
-            report_page_row(page, "%g %%\tnot reached by any number of cells tried\t\u2013\t\u2013", 100 * a->target);
+            report_page_row(page, "%g %%\tnot foretold; give the study more time\t\u2013\t\u2013", 100 * a->target);
     }
     report_page_table_end(page);
 }
@@ -203,7 +202,7 @@ lmg_result study_report(const study *s, const char *lamp, const char *path, lmg_
     add_advice(page, s, lamp);
     report_page_heading(page, "Error against time");
     add_errors(page, s, STUDY_PHOTONS,
-               &(report_axes){.title = "Rising numbers of photons, 4 million cells asked for",
+               &(report_axes){.title = "Rising numbers of photons, in the cells that they are worth",
                               .x = "processor seconds, all in",
                               .y = "relative RMS error, %",
                               .log_x = true,

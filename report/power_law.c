@@ -19,35 +19,49 @@ static int counts(double x, double y)
     return isfinite(x) && isfinite(y) && x > 0 && y > 0;
 }
 
-report_slope report_slope_fit(const double *x, const double *y, size_t count)
+report_slope report_slope_fit(const double *x, const double *y, const double *relative_error, size_t count)
 {
-    report_slope f = {.slope = NAN, .standard_error = NAN, .confidence = NAN};
-    double mean_a = 0, mean_b = 0, n = 0;
+    report_slope f = {.slope = NAN, .standard_error = NAN, .confidence = NAN, .x = NAN, .y = NAN};
+    double mean_a = 0, mean_b = 0, weight = 0;
     for (size_t i = 0; i < count; ++i) {
         if (!counts(x[i], y[i]))
             continue;
-        n += 1;
-        mean_a += (log(x[i]) - mean_a) / n;
-        mean_b += (log(y[i]) - mean_b) / n;
+        const double w = relative_error ? 1 / (relative_error[i] * relative_error[i]) : 1;
+        weight += w;
+        mean_a += (log(x[i]) - mean_a) * w / weight;
+        mean_b += (log(y[i]) - mean_b) * w / weight;
+        ++f.points;
     }
-    f.points = (size_t)n;
     /* Deviations from the means: sums of squares of logarithms would cancel where x hardly varies. */
     double aa = 0, ab = 0, bb = 0;
     for (size_t i = 0; i < count; ++i) {
         if (!counts(x[i], y[i]))
             continue;
+        const double w = relative_error ? 1 / (relative_error[i] * relative_error[i]) : 1;
         const double a = log(x[i]) - mean_a, b = log(y[i]) - mean_b;
-        aa += a * a;
-        ab += a * b;
-        bb += b * b;
+        aa += w * a * a;
+        ab += w * a * b;
+        bb += w * b * b;
     }
     if (f.points >= 3 && aa > 0) {
         f.slope = ab / aa;
-        const double residual = bb - f.slope * ab;
-        f.standard_error = sqrt((residual > 0 ? residual : 0) / ((n - 2) * aa));
+        f.x = exp(mean_a);
+        f.y = exp(mean_b);
+        const double residual = bb - f.slope * ab; /* weights say how errors compare; how large they are, the residuals */
+        f.standard_error = sqrt((residual > 0 ? residual : 0) / ((double)(f.points - 2) * aa));
         f.confidence = student(f.points - 2) * f.standard_error;
     }
     return f;
+}
+
+double report_slope_y(report_slope f, double x)
+{
+    return f.y * pow(x / f.x, f.slope);
+}
+
+double report_slope_x(report_slope f, double y)
+{
+    return f.x * pow(y / f.y, 1 / f.slope);
 }
 
 const char *report_slope_text(report_slope f, const char *sign, char text[64])

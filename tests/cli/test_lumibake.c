@@ -447,9 +447,9 @@ static void test_study(void **state)
             assert_string_equal(strtok(words, " "), "lumibake");
             for (char *word; (word = strtok(NULL, " ")) && n < 15;)
                 args[n++] = word;
-            assert_int_equal(n, 8);
-            assert_string_equal(args[6], "-o");
-            args[7] = in_folder("advised.box.exr");
+            assert_int_equal(n, 6);
+            assert_string_equal(args[4], "-o");
+            args[5] = in_folder("advised.box.exr");
             outcome bake = run_args(args);
             assert_int_equal(bake.code, 0);
             release(&bake);

@@ -23,21 +23,22 @@ static void exact_power_law(void **state)
         y[i] = 42 * pow(x[i], -0.5);
     }
     for (size_t n = 3; n <= 24; ++n) {
-        const report_slope f = report_slope_fit(x, y, n);
+        const report_slope f = report_slope_fit(x, y, NULL, n);
         assert_int_equal(f.points, n);
         assert_true(fabs(f.slope + 0.5) < 1e-12);
         assert_true(f.standard_error < 1e-7 && f.confidence >= f.standard_error); /* roots of rounding errors */
     }
-    assert_true(isnan(report_slope_fit(x, y, 2).slope));
+    assert_true(isnan(report_slope_fit(x, y, NULL, 2).slope));
     y[1] = 0;
     y[2] = NAN;
     y[3] = -1;
-    const report_slope f = report_slope_fit(x, y, 7);
+    const report_slope f = report_slope_fit(x, y, NULL, 7);
     assert_int_equal(f.points, 4);
     assert_true(fabs(f.slope + 0.5) < 1e-12);
+    assert_true(fabs(report_slope_y(f, 1e-6) - 42e3) < 1e-6 && fabs(report_slope_x(f, 42e3) - 1e-6) < 1e-15);
     for (int i = 0; i < 24; ++i)
         x[i] = 3;
-    assert_true(isnan(report_slope_fit(x, y, 24).slope));
+    assert_true(isnan(report_slope_fit(x, y, NULL, 24).slope));
 }
 
 /* Against least squares worked out apart, and Student's t of three degrees of freedom, 3.182. */
@@ -45,13 +46,22 @@ static void scattered_power_law(void **state)
 {
     (void)state;
     static const double X[5] = {1, 2, 4, 8, 16}, Y[5] = {10, 7.5, 4.6, 3.7, 2.4};
-    const report_slope f = report_slope_fit(X, Y, 5);
+    const report_slope f = report_slope_fit(X, Y, NULL, 5);
     assert_true(fabs(f.slope - (-0.513715270297)) < 1e-9);
     assert_true(fabs(f.standard_error - 0.030230108389) < 1e-9);
     assert_true(fabs(f.confidence / f.standard_error - 3.182) < 1e-9);
+    /* Weights: alike, as if there were none; twice the error, a quarter of the weight, as if the others were there four times. */
+    static const double ALIKE[5] = {0.3, 0.3, 0.3, 0.3, 0.3}, LAST[5] = {0.1, 0.1, 0.1, 0.1, 0.2};
+    assert_true(fabs(report_slope_fit(X, Y, ALIKE, 5).slope - f.slope) < 1e-12);
+    double x[17], y[17];
+    for (int i = 0; i < 17; ++i) {
+        x[i] = X[i / 4];
+        y[i] = Y[i / 4];
+    }
+    assert_true(fabs(report_slope_fit(X, Y, LAST, 5).slope - report_slope_fit(x, y, NULL, 17).slope) < 1e-12);
     char text[64];
     assert_string_equal(report_slope_text((report_slope){.slope = -0.5, .confidence = 0.0625}, "+-", text), "-0.500 +- 0.062");
-    assert_string_equal(report_slope_text(report_slope_fit(X, Y, 2), "+-", text), "-");
+    assert_string_equal(report_slope_text(report_slope_fit(X, Y, NULL, 2), "+-", text), "-");
 }
 
 static void page_escapes(void **state)
