@@ -458,6 +458,12 @@ static lmg_result choose_layout(bake *b, double seconds, lmg_layout *layout, cha
     return result;
 }
 
+/* The bake in photons that a pilot is for. */
+static double bake_of_pilot(double pilot)
+{
+    return pilot / (pilot > (double)PILOT_GOOD ? PILOT_SHARE : PILOT_SHORT_SHARE);
+}
+
 /* Decides how many rays are traced backwards. */
 static lmg_result decide_gathering(bake *b, const lmg_layout *layout, lmg_error *err)
 {
@@ -465,7 +471,7 @@ static lmg_result decide_gathering(bake *b, const lmg_layout *layout, lmg_error 
     size_t count;
     const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
     /* the bake that such a pilot is for: like the layout the decision must not change when a bake is extended */
-    const double photons = (double)b->pilot_tally.photons / PILOT_SHARE;
+    const double photons = bake_of_pilot((double)b->pilot_tally.photons);
     bake_gather_plan plan;
     lmg_result result = bake_gather_decide(b->tracer, layout, rays, count, &b->pilot_tally, photons, o->rays_per_photon, o->seed,
                                            o->threads, &plan, err);

@@ -32,7 +32,8 @@ typedef struct bake_options {
     uint64_t first;         /* number of the first photon, below BAKE_PILOT_FIRST - photons */
     uint64_t whole;         /* photons of the bake that these are a part of, for the size of the pilot; 0 = photons */
     double seconds;         /* of pilot and tracing, when photons is 0; 0 = 60 */
-    uint64_t pilot_photons; /* 0 = a twentieth of the bake, within 20,000 and 400,000; a tenth of short ones, up to 100,000 */
+    uint64_t pilot_photons; /* 0 = a twentieth of the bake, within 20,000 and 400,000; a tenth of short ones asked for in photons,
+                               up to 100,000 */
     double rays_per_photon; /* traced backwards for each stored photon, once they are traced (gather.h); 0 = photons only, < 0 = as
                                the pilot says */
     uint64_t seed;

@@ -151,16 +151,17 @@ void report_page_table_end(report_page *p)
 
 /* ------------------------------------------------------------------------------------------------------------- gnuplot */
 
-/* A text in gnuplot's double quotes, with its markup switched off by the terminal. */
+/* A text in gnuplot's single quotes, where it expands nothing (in double ones what stands between backquotes would be run), with its
+ * markup switched off by the terminal. */
 static void quoted(FILE *to, const char *text)
 {
-    fputc('"', to);
+    fputc('\'', to);
     for (const char *c = text; *c; ++c) {
-        if (*c == '"' || *c == '\\')
-            fputc('\\', to);
+        if (*c == '\'')
+            fputc('\'', to);
         fputc(*c == '\n' ? ' ' : *c, to);
     }
-    fputc('"', to);
+    fputc('\'', to);
 }
 
 static FILE *begin_script(report_page *p, int width, int height)

@@ -48,7 +48,7 @@ typedef struct slab {
 
 struct lum_clearance {
     double per_unit; /* 1 / the scene's unit in metres */
-    double low[3], per_length, width, longest;
+    double low[3], high[3], per_length, width, longest; /* ways start within low .. high */
     double start, end; /* distances that ends keep from slabs' planes, times UNIT */
     uint32_t size[3];
     slab *cells, *more;
@@ -93,10 +93,19 @@ static bool cells_near(const lum_clearance *c, const lum_triangle *t, uint32_t f
     return true;
 }
 
-/* What of a polygon is where side[i] of its corners is not negative, side being linear. */
+/* What of a convex polygon is where side[i] of its corners is not negative, side being linear; all of it where rounding makes more than
+ * two of its edges cross over.  So of n corners at most n + 1 come out, and of three, six times cut, nine. */
 static uint32_t cut(uint32_t count, double (*restrict from)[3], const double side[9], double (*restrict to)[3])
 {
-    uint32_t kept = 0;
+    uint32_t kept = 0, crossings = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        const double next = side[i + 1 < count ? i + 1 : 0];
+        crossings += (side[i] > 0 && next < 0) || (side[i] < 0 && next > 0);
+    }
+    if (crossings > 2) {
+        memcpy(to, from, count * sizeof to[0]);
+        return count;
+    }
     for (uint32_t i = 0; i < count; i++) {
         const uint32_t next = i + 1 < count ? i + 1 : 0;
         if (side[i] >= 0) {
@@ -396,6 +405,9 @@ static double height_alone(const lum_clearance *c, const lum_scene *scene, uint3
             height = least_of(height, 0.5 * c->width + c->longest - fabs((double)t->v[i][k] - centre));
         }
     }
+    if (first[cell + 1] - first[cell] > MOST_NEAR) {
+        return 0;
+    }
     barycentrics(t, w);
     for (uint32_t j = first[cell]; j < first[cell + 1] && height > 0; j++) {
         const float(*v)[3] = scene->triangles[near[j]].v;
@@ -450,7 +462,7 @@ static bool fill_cells(lum_clearance *c, const lum_scene *scene, double visits)
                 continue;
             }
             const lmg_vec3 a = vec_from_float(t->v[0]), n = vec_from_float(t->ng);
-            const double reach = half * (fabs(n.x) + fabs(n.y) + fabs(n.z)) + c->end;
+            const double reach = half * (fabs(n.x) + fabs(n.y) + fabs(n.z)) + c->end / UNIT;
             for (uint32_t z = from[2]; z <= to[2]; z++) {
                 for (uint32_t y = from[1]; y <= to[1]; y++) {
                     for (uint32_t x = from[0]; x <= to[0]; x++) {
@@ -500,8 +512,8 @@ static bool fill_cells(lum_clearance *c, const lum_scene *scene, double visits)
     return enough;
 }
 
-/* How wide cells and how long ways should be, for the fineness of the mesh there. */
-static void choose_sizes(lum_clearance *c, const lum_scene *scene, const double extent[3], double thickness, double free_path)
+/* How wide cells and how long ways should be, for the fineness of the mesh there; false: there is none. */
+static bool choose_sizes(lum_clearance *c, const lum_scene *scene, const double extent[3], double thickness, double free_path)
 {
     double width = CELL * thickness, area = 0, count = 0;
     c->longest = least_of(LONGEST_PATHS * free_path, LONGEST_WAY * thickness);
@@ -519,7 +531,10 @@ static void choose_sizes(lum_clearance *c, const lum_scene *scene, const double 
             count++;
         }
     }
-    const double wide = width + 2 * c->longest, most = sqrt(0.5 * NEAR * area / most_of(count, 1)); /* of a wall's two faces */
+    if (!(area > 0)) {
+        return false;
+    }
+    const double wide = width + 2 * c->longest, most = sqrt(0.5 * NEAR * area / count); /* of a wall's two faces */
     if (most < wide) {
         width *= most / wide;
         c->longest *= most / wide;
@@ -532,14 +547,17 @@ static void choose_sizes(lum_clearance *c, const lum_scene *scene, const double 
     for (int k = 0; k < 3; k++) {
         c->size[k] = (uint32_t)floor(extent[k] / width) + 1;
     }
+    return true;
 }
 
 lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 high, double thickness, double free_path,
                                 lum_clearance **out, lmg_error *err)
 {
     *out = NULL;
-    low = vec_scale(low, scene->per_unit);
-    high = vec_scale(high, scene->per_unit);
+    /* in the unit these are rounded, and faces in the bounds must not be out of them */
+    const lmg_vec3 rounding = {0x1p-40, 0x1p-40, 0x1p-40};
+    low = vec_sub(vec_scale(low, scene->per_unit), rounding);
+    high = vec_add(vec_scale(high, scene->per_unit), rounding);
     thickness *= scene->per_unit;
     free_path *= scene->per_unit;
     const double extent[3] = {high.x - low.x, high.y - low.y, high.z - low.z};
@@ -549,8 +567,12 @@ lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 h
     lum_clearance *c = calloc(1, sizeof *c);
     bool enough = c != NULL;
     if (c) {
-        *c = (lum_clearance){.per_unit = scene->per_unit, .low = {low.x, low.y, low.z}};
-        choose_sizes(c, scene, extent, thickness, free_path);
+        *c = (lum_clearance){
+            .per_unit = scene->per_unit, .low = {low.x, low.y, low.z}, .high = {high.x, high.y, high.z}};
+        if (!choose_sizes(c, scene, extent, thickness, free_path)) {
+            free(c);
+            return LMG_OK;
+        }
         double visits = 0, error = 0;
         for (uint32_t i = 0; i < scene->model->triangle_count; i++) {
             uint32_t from[3], to[3];
@@ -606,8 +628,9 @@ static bool stays_alone(const lum_clearance *c, uint32_t triangle, const double 
     double w[3][4];
     barycentrics(t, w);
     bool over = true;
-    for (int k = 0; k < 3; k++) {
-        over &= linear(w[k], o) > 2 * RIM && linear(w[k], p) > 2 * RIM;
+    for (int k = 0; k < 3; k++) { /* from the rim the end keeps the distance, too: at one height over the length of w it is 1 */
+        const double in = linear(w[k], p) - 2 * RIM, square = w[k][0] * w[k][0] + w[k][1] * w[k][1] + w[k][2] * w[k][2];
+        over &= linear(w[k], o) > 2 * RIM && in > 0 && in * in > distance * distance * square;
     }
     return over;
 }
@@ -664,8 +687,9 @@ void lum_clearance_many(const lum_clearance *c, size_t count, const uint32_t *wh
         const lmg_vec3 p = vec_scale(origins[which[k]], c->per_unit);
         const double x = (p.x - c->low[0]) * c->per_length, y = (p.y - c->low[1]) * c->per_length,
                      z = (p.z - c->low[2]) * c->per_length;
-        const bool in = (x >= 0) & (x < (double)c->size[0]) & (y >= 0) & (y < (double)c->size[1]) & (z >= 0) &
-                        (z < (double)c->size[2]) & (reach[which[k]] * c->per_unit <= c->longest);
+        /* not beyond the bounds: light that came out of an open solid is the tracer's to let go */
+        const bool in = (x >= 0) & (p.x <= c->high[0]) & (y >= 0) & (p.y <= c->high[1]) & (z >= 0) & (p.z <= c->high[2]) &
+                        (x < (double)c->size[0]) & (y < (double)c->size[1]) & (z < (double)c->size[2]) & (reach[which[k]] * c->per_unit <= c->longest);
         const int64_t i = in ? (int64_t)x : 0, j = in ? (int64_t)y : 0, l = in ? (int64_t)z : 0;
         cells[k] = in ? &c->cells[(l * c->size[1] + j) * c->size[0] + i] : &SILENT;
         __builtin_prefetch(cells[k]);

@@ -225,16 +225,47 @@ static void filled_balls_leak_nothing(void **state)
 }
 
 /* The lamps of the next test: shells of coarse and fine facets, a block with its edges and corners; media thin and dense, grey and
- * coloured. */
-enum { OPAL_LAMPS = 6 };
+ * coloured; cubes, one that is as large as its lamp, and one without a lid; a plate beside a ball of many triangles. */
+enum { OPAL_LAMPS = 10, CUBES = 6, CROWDED = 8 };
+
+/* Vertices in the model's extent, as the loader has them: its unit times one over it needn't be 1. */
+static void use_unit(lum_model *model)
+{
+    float largest = 0;
+    for (uint32_t i = 0; i < 3 * model->vertex_count; ++i)
+        largest = fmaxf(largest, fabsf(model->positions[i]));
+    model->unit = (double)largest;
+    for (uint32_t i = 0; i < 3 * model->vertex_count; ++i)
+        model->positions[i] = (float)((double)model->positions[i] / model->unit);
+}
+
+/* Half a side of 48 mm: 0.048f times one over it is less than 1. */
+static void make_cube(lum_model *model, bool open, uint32_t opal)
+{
+    const double h = 0.048;
+    if (!open) {
+        make_box(model, v3(-h, -h, -h), v3(h, h, h), false, 1, opal);
+    } else {
+        make_quad(model, v3(-h, -h, -h), v3(0, 2 * h, 0), v3(2 * h, 0, 0), 1, opal);
+        make_quad(model, v3(-h, -h, -h), v3(2 * h, 0, 0), v3(0, 0, 2 * h), 1, opal);
+        make_quad(model, v3(-h, h, -h), v3(0, 0, 2 * h), v3(2 * h, 0, 0), 1, opal);
+        make_quad(model, v3(-h, -h, -h), v3(0, 0, 2 * h), v3(0, 2 * h, 0), 1, opal);
+        make_quad(model, v3(h, -h, -h), v3(0, 2 * h, 0), v3(0, 0, 2 * h), 1, opal);
+    }
+}
 
 static lum_model *opal_lamp(int k)
 {
     lum_model *model = make_model();
-    const float depth = k % 2 ? 15000 : 500, blue = k / 2 == 2 ? 1.5f * depth : depth;
+    const float depth = k >= CUBES && k < CROWDED ? 100 : k % 2 ? 15000 : 500, blue = k / 2 == 2 ? 1.5f * depth : depth;
     const uint32_t opal = make_filled(model, 1.5f, (const float[3]){depth, depth, blue}, (const float[3]){0.5f, 0.5f, 0.2f}, 0.3f);
     const uint32_t bulb = make_lambert(model, 0.5f);
-    if (k / 2 == 2) {
+    if (k >= CUBES && k < CROWDED) {
+        make_cube(model, k % 2, opal);
+    } else if (k >= CROWDED) {
+        make_box(model, v3(-0.03, -0.02, 0.001), v3(0.03, 0.02, 0.004), false, 1, opal);
+        make_sphere(model, v3(0, 0, 0.007), 0.002, 64, false, true, bulb);
+    } else if (k / 2 == 2) {
         make_box(model, v3(-0.03, -0.02, 0.001), v3(0.03, 0.02, 0.004), false, 3, opal);
     } else {
         make_sphere(model, v3(0.01, 0, 0), 0.03, k / 2 ? 48 : 9, false, k / 2, opal);
@@ -244,6 +275,7 @@ static lum_model *opal_lamp(int k)
     for (int c = 0; c < 3; ++c)
         model->materials[bulb].emissive[c] = 1000;
     finish_model(model);
+    use_unit(model);
     return model;
 }
 

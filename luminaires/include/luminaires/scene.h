@@ -68,7 +68,7 @@ bool lum_scene_occluded(const lum_scene *scene, lmg_vec3 origin, lmg_vec3 direct
  * which is scattered many times before it gets anywhere.  Coordinates and threads as above.
  */
 typedef struct lum_clearance lum_clearance;
-/* For ways that start in low .. high, in walls of a thickness (metres), and mostly are a few free_path long.  *out is NULL, and
+/* For ways that start in low .. high (of others nothing is known), in walls of a thickness (metres), and mostly are a few free_path long.  *out is NULL, and
  * that's no error, where it would cost more than it saves: in thin media and very fine meshes.  The scene is borrowed until
  * destroy. */
 lmg_result lum_clearance_create(const lum_scene *scene, lmg_vec3 low, lmg_vec3 high, double thickness, double free_path,
@@ -79,7 +79,7 @@ void lum_clearance_destroy(lum_clearance *clearance); /* accepts NULL */
 bool lum_clearance_clear(const lum_clearance *clearance, lmg_vec3 origin, lmg_vec3 direction, double reach);
 /* The same for at most LUM_MAX_RAYS ways at once: clear[k] of the way which[k] of the arrays.  Memory that one of them needs is on
  * its way while others are worked on.  left: of each way the triangle whose hit it starts from, LUM_MISS for none; or NULL: more
- * ways are known to be clear where that is known.  Needs the scene. */
+ * ways are known to be clear where that is known. */
 void lum_clearance_many(const lum_clearance *clearance, size_t count, const uint32_t *which, const lmg_vec3 *origins,
                         const lmg_vec3 *directions, const double *reach, const uint32_t *left, bool *clear);
 
