@@ -214,11 +214,33 @@ static void give_advice(study *s)
     }
 }
 
+/* As one word of a shell. */
+static void write_word(char *to, size_t size, const char *word, const char *suffix)
+{
+    const bool plain = strspn(word, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789+,-./:=@_") == strlen(word);
+    size_t n = 0;
+    if (!plain && n + 1 < size)
+        to[n++] = '\'';
+    for (; *word && n + 5 < size; ++word) {
+        if (*word == '\'') {
+            memcpy(to + n, "'\\''", 4);
+            n += 4;
+        } else {
+            to[n++] = *word;
+        }
+    }
+    snprintf(to + n, size - n, "%s%s", suffix, plain ? "" : "'");
+}
+
 const char *study_command(const study_advice *a, const char *lamp, char *text, size_t size)
 {
     const char *slash = strrchr(lamp, '/'), *name = slash ? slash + 1 : lamp, *dot = strrchr(name, '.');
-    snprintf(text, size, "lumibake bake %s --photons %.2g -o %.*s.box.exr", lamp, (double)a->photons,
-             (int)(dot && dot > name ? dot - name : (long)strlen(name)), name);
+    char model[1100], stem[300], box[350];
+    snprintf(stem, sizeof(stem), "%.*s", (int)(dot && dot > name ? dot - name : (long)strlen(name)), name);
+    write_word(model, sizeof(model), lamp, "");
+    write_word(box, sizeof(box), stem, ".box.exr");
+    const double unit = pow(10, floor(log10((double)a->photons)) - 1); /* two digits, rounded up */
+    snprintf(text, size, "lumibake bake %s --photons %.2g -o %s", model, ceil((double)a->photons / unit - 1e-9) * unit, box);
     return text;
 }
 

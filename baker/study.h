@@ -75,7 +75,8 @@ typedef struct study {
 struct lum_model;
 lmg_result study_run(const struct lum_model *model, const study_options *options, study *out, lmg_error *err);
 
-/* The advice as a command line: lamp as it is to stand there.  Returns text. */
+/* The advice as a command line of a shell, in quotes where the lamp's path needs them; options of the lamp (--flux, --recipe, --set) are
+ * the user's to add.  Returns text. */
 const char *study_command(const study_advice *advice, const char *lamp, char *text, size_t size);
 
 /* Writes the study as one HTML file; lamp: what the model is called in it. */

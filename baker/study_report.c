@@ -124,6 +124,7 @@ static void add_advice(report_page *page, const study *s, const char *lamp)
             report_page_row(page, "%g %%\tnot foretold; give the study more time\t\u2013\t\u2013", 100 * a->target);
     }
     report_page_table_end(page);
+    report_page_text(page, "With the study's own --flux, --recipe, --no-recipe and --set, if it had any. By the power law of the errors below.");
 }
 
 static void add_methods(report_page *page, const study *s)

@@ -125,6 +125,9 @@ static int read_options(int argc, char **argv, settings *s)
     if (s->samples && s->seconds > 0) {
         return say_usage("study", "--time or --spp, not both: the one decides the other");
     }
+    if (s->scene.quiet && !s->page && !s->json) {
+        return say_usage("study", "--quiet without -o or --json would say nothing");
+    }
     if (s->scene.width / s->block < 2 || s->scene.height / s->block < 2) {
         return say_usage(
             "study", "%u x %u pixels have fewer than two blocks of %u pixels each way; use a larger --size or a smaller --block",

@@ -78,6 +78,9 @@ static void page_escapes(void **state)
     static const double X[2] = {1, 2}, Y[2] = {-1, 0};
     report_page_plot(page, &(report_axes){.title = "nothing", .x = "x", .y = "y", .log_y = true},
                      &(report_curve){.name = "n", .x = X, .y = Y, .count = 2}, 1);
+    static const double HIGHER[2] = {2, 3};
+    report_page_plot(page, &(report_axes){.title = "it's `echo $HOME` \\n", .x = "x", .y = "y"},
+                     &(report_curve){.name = "\"`id`\"", .x = X, .y = HIGHER, .count = 2}, 1);
     assert_int_equal(report_page_write(page, path, &err), LMG_OK);
     assert_int_equal(report_page_write(page, "/no/such/folder/page.html", &err), LMG_ERROR_FILE_WRITE);
     report_page_destroy(page);
@@ -88,6 +91,8 @@ static void page_escapes(void **state)
     unlink(path);
     assert_non_null(strstr(text, "<h1>a &lt; b &amp; &quot;c&quot;</h1>"));
     assert_non_null(strstr(text, "<tr><td>&lt;script&gt;</td><td>7</td></tr>"));
+    assert_non_null(strstr(text, "it's `echo $HOME` \\n")); /* gnuplot runs and expands nothing */
+    assert_non_null(strstr(text, "`id`"));
     assert_non_null(strstr(text, "nothing: no value to draw.")); /* on a logarithmic axis */
 }
 
