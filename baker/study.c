@@ -239,7 +239,8 @@ const char *study_command(const study_advice *a, const char *lamp, char *text, s
     snprintf(stem, sizeof(stem), "%.*s", (int)(dot && dot > name ? dot - name : (long)strlen(name)), name);
     write_word(model, sizeof(model), lamp, "");
     write_word(box, sizeof(box), stem, ".box.exr");
-    const double unit = pow(10, floor(log10((double)a->photons)) - 1); /* two digits, rounded up */
+    /* two digits, rounded up; not for what rounding of the quotient, of some 1e-16 of at most 100, adds to a whole number */
+    const double unit = pow(10, floor(log10((double)a->photons)) - 1);
     snprintf(text, size, "lumibake bake %s --photons %.2g -o %s", model, ceil((double)a->photons / unit - 1e-9) * unit, box);
     return text;
 }

@@ -182,6 +182,7 @@ static bool fit_direction(uint32_t count, const piece pieces[], const bool in[],
     for (uint32_t i = 0; i < count; i++) {
         if (in[i]) {
             const double side = vec_dot(mean, pieces[i].normal) < 0 ? -1 : 1;
+            /* pieces cut down to a line have a direction, too: an area far below any other's, whose lengths are of the order of 1 */
             mean = vec_along(mean, pieces[i].normal, side * (pieces[i].area + 1e-30));
         }
     }
@@ -219,6 +220,8 @@ static bool fit_direction(uint32_t count, const piece pieces[], const bool in[],
         }
     }
     double S[3] = {0, 0, 0}; /* xx, xy, yy */
+    /* all in a line, they tell nothing of the slope across: a millionth of the spread keeps the equations solvable and changes no bend
+     * by more than that (whatever comes out, the ranges of f are taken from the slab as it is) */
     const double ridge = 1e-6 * (uu[0] + uu[2]);
     if (bent && ridge > 0) {
         const double a = uu[0] + ridge, b = uu[1], c = uu[2] + ridge, m = a + c;

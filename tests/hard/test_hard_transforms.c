@@ -150,6 +150,7 @@ static void same_photons(const char *lamp, const lmg_field *a, const char *what,
     lmg_field *b = bake_under(lamp, &t);
     char name[100];
     snprintf(name, sizeof(name), "%s %s", lamp, what);
+    /* the same box to 1e-5 is what is promised of any scale; doubles' rounding is far below it */
     hard_at_most(name, "same layout, relative to the size", layout_difference(a, b, scale, moved), 1e-5);
     hard_at_most(name, "same efficiency", fabs(efficiency(b) - efficiency(a)), 1e-5);
     /* powers of two round nothing: any difference would be a length in metres somewhere in the program */
