@@ -422,6 +422,11 @@ static double photons_expected(const bake *b, double seconds)
 static lmg_result choose_layout(bake *b, double seconds, lmg_layout *layout, char both[1184], lmg_error *err)
 {
     const bake_options *o = b->options;
+    if (o->layout) {
+        *layout = *o->layout;
+        snprintf(both, 1184, "%s", "in cells that another bake was found to be worth");
+        return LMG_OK;
+    }
     lmg_fit_options fit = o->fit;
     char why[1024], cells[160] = "";
     size_t count;

@@ -55,7 +55,7 @@ static const struct argp_option OPTIONS[] = {
     {"time", KEY_TIME, "TIME", 0, "trace for so long: 90s, 5m, 1h (default 60s)", 2},
     {"photons", KEY_PHOTONS, "N", 0, "trace so many photons, such as 1e8", 2},
     {"error", KEY_ERROR, "PERCENT", 0, "until the box is that near to the lamp's own light, as judged by other rays of it", 2},
-    {"error-of", KEY_ERROR_OF, "WHAT", 0, "near-field (illuminance at 0.5 to 10 sizes; default), far-field or luminance", 2},
+    {"error-of", KEY_ERROR_OF, "WHAT", 0, "near-field (illuminance at 0.5 to 10 sizes; default), far-field, luminance or flux", 2},
     {"flux", KEY_FLUX, "LM", 0, "what the lamp's sources emit, such as 800lm", 3},
     {"output-flux", KEY_OUTPUT_FLUX, "LM", 0, "what leaves the luminaire", 3},
     LAMP_OPTIONS(3),
@@ -115,13 +115,13 @@ static void parse_share(struct argp_state *state, const char *text, command *c)
     c->shares = n;
 }
 
-static judge_measure error_of(struct argp_state *state, const char *text)
+static target_measure error_of(struct argp_state *state, const char *text)
 {
-    static const char *const NAMES[JUDGE_MEASURES] = {"near-field", "far-field", "luminance"};
-    for (int m = 0; m < JUDGE_MEASURES; ++m)
+    static const char *const NAMES[TARGET_MEASURES] = {"near-field", "far-field", "luminance", "flux"};
+    for (int m = 0; m < TARGET_MEASURES; ++m)
         if (!strcmp(text, NAMES[m]))
-            return (judge_measure)m;
-    usage_error(state, "--error-of: '%s' is not near-field, far-field or luminance", text);
+            return (target_measure)m;
+    usage_error(state, "--error-of: '%s' is not near-field, far-field, luminance or flux", text);
 }
 
 /* Which photons, once all options are known. */
@@ -301,15 +301,27 @@ static void show_progress(void *self, const bake_progress *p)
     fflush(stderr);
 }
 
+/* The error of a box: known with a standard error, or, of the flux, itself one. */
+static void print_error(FILE *to, const command *c, judge_error e)
+{
+    if (c->target.of == TARGET_FLUX)
+        fprintf(to, "standard error of flux %.3g %%", 100 * e.rms);
+    else
+        fprintf(to, "%s error %.3g +- %.2g %%", target_measure_name(c->target.of), 100 * e.rms, 100 * e.standard_error);
+}
+
 /* What a search for an error has found so far. */
-static void show_bake(void *self, unsigned bake, uint64_t photons, uint64_t cells, judge_error error, uint64_t next)
+static void show_bake(void *self, unsigned bake, uint64_t photons, uint64_t cells, judge_error error, uint64_t next, double seconds)
 {
     const command *c = self;
-    fprintf(stderr, "%sbake %u: %.3g M photons, %.3g M cells: %s error %.3g +- %.2g %%", c->terminal ? "\r\033[K" : "", bake,
-            1e-6 * (double)photons, 1e-6 * (double)cells, judge_measure_name(c->target.of), 100 * error.rms,
-            100 * error.standard_error);
-    if (next > 0)
-        fprintf(stderr, "; next %.3g M photons", 1e-6 * (double)next);
+    fprintf(stderr, "%sbake %u: %.3g M photons, %.3g M cells: ", c->terminal ? "\r\033[K" : "", bake, 1e-6 * (double)photons,
+            1e-6 * (double)cells);
+    print_error(stderr, c, error);
+    if (next > 0) {
+        char text[16];
+        print_duration(text, seconds);
+        fprintf(stderr, "; next %.3g M photons, about %s", 1e-6 * (double)next, text);
+    }
     fputc('\n', stderr);
 }
 
@@ -400,7 +412,7 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                                   "why", r->gather_why));
     if (c->target.error > 0)
         json_object_set_new(o, "error",
-                            json_pack("{s:s, s:f, s:o, s:o, s:b, s:i}", "of", judge_measure_name(c->target.of), "asked",
+                            json_pack("{s:s, s:f, s:o, s:o, s:b, s:i}", "of", target_measure_name(c->target.of), "asked",
                                       c->target.error, "rms", json_number(c->reached.error.rms), "standard_error",
                                       json_number(c->reached.error.standard_error), "within", c->reached.within, "bakes",
                                       (int)c->reached.bakes));
@@ -462,9 +474,11 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
                r->gather_why[0] ? r->gather_why : "as the earlier run decided");
     else if (r->gather_why[0])
         printf("  gathered  %s\n", r->gather_why);
-    if (c->target.error > 0)
-        printf("  error     %.3g +- %.2g %% of %s, asked for %.3g %%; found in %u bakes\n", 100 * c->reached.error.rms,
-               100 * c->reached.error.standard_error, judge_measure_name(c->target.of), 100 * c->target.error, c->reached.bakes);
+    if (c->target.error > 0) {
+        fputs("  error     ", stdout);
+        print_error(stdout, c, c->reached.error);
+        printf(", asked for %.3g %%; found in %u bakes\n", 100 * c->target.error, c->reached.bakes);
+    }
     print_ledger(&l);
     printf("  efficiency %.4f %% +- %.2g %%\n", 100 * share, 100 * bake_light_error(&r->tally, share * n));
     uint64_t cells = 0;
