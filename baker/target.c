@@ -57,21 +57,26 @@ typedef struct tried {
 /*
  * Judges a box; one that comes near the error asked for with as many photons of the lamp, and rays of the box, as it takes to know
  * that error well enough: the noise v of judging makes the variance of error^2 go as v^4, so the standard error of an error e goes
- * as 1 / (rays e).  Far off the mark a coarse judgement will do, that it is far off.
+ * as 1 / (rays e).  Far off the mark a coarse judgement will do, that it is far off.  seconds: what judging the next box will take,
+ * one that is near the mark.
  */
 static lmg_result judge_well(judge *j, const bake_target *target, const lmg_field *field, uint64_t *rays, judge_error *out,
-                             lmg_error *err)
+                             double *seconds, lmg_error *err)
 {
     judge_verdict verdict;
     lmg_result result = *rays > 0 ? LMG_OK : judge_measure_lamp(j, *rays = TRIAL, err);
     for (int round = 0; result == LMG_OK && round < 4; ++round) {
+        const double began = bake_clock();
         result = judge_box(j, field, *rays, &verdict, err);
+        *seconds = bake_clock() - began;
         if (result != LMG_OK)
             break;
         const judge_error e = *out = verdict.error[target->of];
         const bool far_off = e.rms > NEAR_THE_MARK * target->error;
-        const double factor = far_off ? e.standard_error / (JUDGING_COARSELY * e.rms)
-                                      : fabs(e.rms) * e.standard_error / (JUDGING * target->error * target->error);
+        const double finely = fabs(e.rms) * e.standard_error / (JUDGING * target->error * target->error);
+        const double factor = far_off ? e.standard_error / (JUDGING_COARSELY * e.rms) : finely;
+        if (far_off && finely > 1.25) /* lamp and box anew, with so many more rays */
+            *seconds *= 1 + 2 * finely;
         if (!(factor > 1.25) || *rays >= MOST_JUDGING)
             break;
         *rays = (double)*rays * factor > (double)MOST_JUDGING ? MOST_JUDGING : (uint64_t)((double)*rays * factor);
@@ -280,11 +285,13 @@ lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *
         result = bake_run(model, &o, &field, &its, err);
         if (result != LMG_OK)
             break;
+        const double baked = bake_clock() - began;
+        double judged = 0;
         judge_error e;
         if (flux)
             e = flux_error(&its.tally);
         else
-            result = judge_well(j, target, field, &rays, &e, err);
+            result = judge_well(j, target, field, &rays, &e, &judged, err);
         if (result != LMG_OK) {
             lmg_field_destroy(field);
             break;
@@ -302,7 +309,7 @@ lmg_result bake_run_to_error(const struct lum_model *model, const bake_options *
         const double traced = its.trace_seconds + its.gather_seconds;
         if (target->progress)
             target->progress(target->progress_self, n, o.photons, now.cells, e, (uint64_t)next,
-                             bake_clock() - began + (next / photons - 1) * traced);
+                             baked + (next / photons - 1) * traced + judged);
         photons = next;
     }
     reached->within = reached->within || reached->error.rms < target->error;
