@@ -4,7 +4,9 @@
  * linear within a cell as slopes.h says, in the rays that the cell's slab owns and that come out of the bounds.
  */
 #include "cell_sum.h"
+#include "trees.h"
 
+#include <float.h>
 #include <stdlib.h>
 
 /* --------------------------------------------------------------------------------------------------------- radiance */
@@ -48,6 +50,30 @@ static void linear(const lmg_field *field, int j, double u, double v, double s, 
         *standard_error = (float)sqrt(variance);
 }
 
+/* Radiance by the trees, in the colour of the cells; false where there are none. */
+static bool from_trees(const lmg_field *field, int j, const double uvst[4], lmg_vec3 origin, lmg_vec3 direction, float rgb[3],
+                       float *standard_error)
+{
+    float at[4];
+    const int root = lmg_trees_root(field->trees, &field->layout, origin, direction, at);
+    if (root < 0)
+        return false;
+    const float *colour = field->trees->roots[root].colour;
+    double variance = 0, of_cells = 0;
+    if (field->layout.channels == 3) {
+        linear(field, j, uvst[0], uvst[1], uvst[2], uvst[3], rgb, NULL);
+        of_cells = lmg_luminance(rgb);
+    }
+    const double luminance = lmg_trees_luminance(field->trees, root, at, standard_error ? &variance : NULL);
+    for (int c = 0; c < 3; c++) {
+        const double x = luminance * (of_cells > 0 ? (double)rgb[c] / of_cells : (double)colour[c]);
+        rgb[c] = (float)fmax(fmin(x, (double)FLT_MAX), -(double)FLT_MAX); /* colours of files needn't be possible */
+    }
+    if (standard_error)
+        *standard_error = variance <= DBL_MAX ? (float)fmin(sqrt(variance), (double)FLT_MAX) : FLT_MAX;
+    return true;
+}
+
 LMG_WIDE void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction, lmg_filter filter, float rgb[3],
                                  float *standard_error)
 {
@@ -67,7 +93,8 @@ LMG_WIDE void lmg_field_radiance(const lmg_field *field, lmg_vec3 origin, lmg_ve
     if (field->sampler->etendue[j].inside ? !(line.past >= 0) : !lmg_downstream(&field->layout, origin, direction, line.past))
         return;
     if (filter == LMG_LINEAR) {
-        linear(field, j, uvst[0], uvst[1], uvst[2], uvst[3], rgb, standard_error);
+        if (!field->trees || !from_trees(field, j, uvst, origin, direction, rgb, standard_error))
+            linear(field, j, uvst[0], uvst[1], uvst[2], uvst[3], rgb, standard_error);
         return;
     }
     lmg_place_rgb(field, (uint32_t)j, &place, rgb);

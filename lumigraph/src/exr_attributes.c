@@ -6,6 +6,7 @@
 #include "exr_attributes.h"
 #include "box_content.h"
 #include "exr_check.h"
+#include "trees.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -302,6 +303,19 @@ static lmg_result read_texts(lmg_exr_file *file, lmg_field *field, lmg_error *er
     return LMG_OK;
 }
 
+/* The trees, if there are any. */
+static lmg_result read_trees(lmg_exr_file *file, lmg_field *field, lmg_error *err)
+{
+    const exr_attribute_t *attribute = NULL;
+    if (exr_get_attribute_by_name(file->context, 0, "lumibox.trees", &attribute) != EXR_ERR_SUCCESS) {
+        return LMG_OK;
+    }
+    LMG_TRY(need_attribute(file, 0, "lumibox.trees", EXR_ATTR_OPAQUE, err));
+    lmg_error reason = {.message = ""};
+    const lmg_result result = lmg_trees_decode(attribute->opaque->packed_data, (size_t)attribute->opaque->size, &field->layout, &field->trees, &reason);
+    return result == LMG_OK ? LMG_OK : lmg_fail(err, result, "%s: %.240s", file->where, reason.message);
+}
+
 lmg_result lmg_exr_read_hash(lmg_exr_file *file, uint64_t *hash, lmg_error *err)
 {
     return get_number(file, "lumibox.hash", 16, hash, err);
@@ -315,6 +329,7 @@ lmg_result lmg_exr_read_records(lmg_exr_file *file, lmg_field *field, lmg_error 
         LMG_TRY(get_v2d(file, 0, lmg_ledger_names[i], &ledger[i][0], &ledger[i][1], err));
     }
     lmg_ledger_set(&field->ledger, (const double(*)[2])ledger);
+    LMG_TRY(read_trees(file, field, err));
     return read_texts(file, field, err);
 }
 
@@ -405,6 +420,17 @@ static void set_part(attribute_setter *s, const lmg_tiles *tiles, uint32_t slab,
     set_v2i(s, "lumibox.stCells", geometry->ns, geometry->nt);
 }
 
+/* OpenEXRCore asks how many bytes an attribute of a type that it doesn't know takes, then for the bytes: they are packed already. */
+static exr_result_t pack_trees(exr_context_t context, const void *data, int32_t size, int32_t *out_size, void *out)
+{
+    (void)context;
+    *out_size = size;
+    if (out != NULL) {
+        memcpy(out, data, (size_t)size);
+    }
+    return EXR_ERR_SUCCESS;
+}
+
 lmg_result lmg_exr_write_header(lmg_exr_file *file, const lmg_tiles *tiles, exr_compression_t compression, uint64_t hash,
                                 lmg_error *err)
 {
@@ -455,8 +481,19 @@ lmg_result lmg_exr_write_header(lmg_exr_file *file, const lmg_tiles *tiles, exr_
         snprintf(name, sizeof name, "lumibox.text.%s", field->texts[i].name);
         note(&s, exr_attr_set_string(s.context, 0, name, field->texts[i].value));
     }
+    unsigned char *trees = NULL;
+    if (field->trees) {
+        size_t size;
+        trees = lmg_trees_encode(field->trees, &size);
+        if (!trees) {
+            return lmg_fail(err, LMG_ERROR_MEMORY, "%s: no memory for its radiance trees", file->where);
+        }
+        note(&s, exr_register_attr_type_handler(s.context, LMG_EXR_TREES, NULL, pack_trees, NULL));
+        note(&s, exr_attr_set_user(s.context, 0, "lumibox.trees", LMG_EXR_TREES, (int32_t)size, trees));
+    }
     if (s.first == EXR_ERR_SUCCESS) {
         s.first = exr_write_header(s.context);
     }
+    free(trees);
     return s.first == EXR_ERR_SUCCESS ? LMG_OK : lmg_exr_fail(err, LMG_ERROR_FILE_WRITE, file, "can't write the header", s.first);
 }

@@ -114,7 +114,7 @@ static lmg_result take_name(scan *s, const char *what, const char **out)
     return LMG_OK;
 }
 
-/* Sizes of the attribute types that may occur; variable: checked elsewhere or free (string). */
+/* Sizes of the attribute types that may occur; variable: checked elsewhere or free (string, trees). */
 static bool type_size(const char *type, uint32_t *size, bool *variable)
 {
     static const struct {
@@ -126,7 +126,7 @@ static bool type_size(const char *type, uint32_t *size, bool *variable)
         {"tiledesc", 9},  {"timecode", 8}, {"v2i", 8},           {"v2f", 8},         {"v2d", 16},   {"v3i", 12},  {"v3f", 12},
         {"v3d", 24},
     };
-    *variable = strcmp(type, "string") == 0 || strcmp(type, "chlist") == 0;
+    *variable = strcmp(type, "string") == 0 || strcmp(type, "chlist") == 0 || strcmp(type, LMG_EXR_TREES) == 0;
     *size = 0;
     for (size_t i = 0; i < sizeof fixed / sizeof fixed[0]; i++) {
         if (strcmp(type, fixed[i].type) == 0) {

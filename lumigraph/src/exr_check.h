@@ -11,6 +11,9 @@ enum { LMG_EXR_MAX_EXTENT = INT32_MAX / 2 };
 /* Attribute names: 31 characters at most, unless the file's version field carries the long-names flag, then 255. */
 enum { LMG_EXR_SHORT_NAME = 31, LMG_EXR_LONG_NAME = 255 };
 
+/* Type of the attribute that holds radiance trees. */
+#define LMG_EXR_TREES "lumiboxTrees"
+
 /* Why a file was refused; the caller puts the file's name before it. */
 typedef struct lmg_exr_fault {
     lmg_result code;

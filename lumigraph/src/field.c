@@ -3,6 +3,7 @@
 #include "field.h"
 #include "geometry.h"
 #include "memory.h"
+#include "trees.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -46,6 +47,7 @@ void lmg_field_destroy(lmg_field *field)
         free(field->texts[i].value);
     free(field->texts);
     lmg_sampler_destroy(field->sampler);
+    lmg_trees_destroy(field->trees);
     free(field);
 }
 
@@ -66,7 +68,7 @@ lmg_ledger lmg_field_ledger(const lmg_field *field)
 
 size_t lmg_field_memory(const lmg_field *field)
 {
-    size_t sum = sizeof *field + lmg_sampler_memory(field->sampler);
+    size_t sum = sizeof *field + lmg_sampler_memory(field->sampler) + lmg_trees_memory(field->trees);
     for (uint32_t j = 0; j < field->layout.slab_count; j++)
         sum += (size_t)field->slabs[j].cells * sizeof(float) * (field->slabs[j].stride + 2);
     for (size_t i = 0; i < field->text_count; i++)
@@ -175,6 +177,8 @@ lmg_result lmg_field_scale(lmg_field *field, double factor, lmg_error *err)
             data->half_a[i] = (float)((double)data->half_a[i] * factor);
         }
     }
+    if (field->trees)
+        lmg_trees_scale(field->trees, factor);
     lmg_ledger *l = &field->ledger;
     double *values[] = {&l->emitted,    &l->stored,    &l->residual,    &l->absorbed,    &l->lost,
                         &l->emitted_se, &l->stored_se, &l->residual_se, &l->absorbed_se, &l->lost_se};

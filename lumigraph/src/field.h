@@ -45,6 +45,7 @@ struct lmg_field {
     size_t text_count;
     lmg_sampler *sampler;
     lmg_rounding rounding; /* of the file it was read from */
+    struct lmg_trees *trees; /* NULL: none */
 };
 
 /* field.c: an empty field with zeroed cells for the layout (already checked). */

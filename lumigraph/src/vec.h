@@ -24,6 +24,7 @@
 typedef float lmg_float4 __attribute__((vector_size(16)));
 typedef int32_t lmg_int4 __attribute__((vector_size(16)));
 typedef double lmg_double4 __attribute__((vector_size(32)));
+typedef int64_t lmg_long4 __attribute__((vector_size(32))); /* what comparing them gives: all bits or none */
 
 static inline double v_dot(lmg_vec3 a, lmg_vec3 b)
 {

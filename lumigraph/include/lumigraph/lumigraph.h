@@ -291,6 +291,26 @@ LMG_API const char *lmg_field_text_name(const lmg_field *field, size_t i);
 /* Multiplies all light (radiance, errors, ledger) by factor > 0. */
 LMG_API lmg_result lmg_field_scale(lmg_field *field, double factor, lmg_error *err);
 
+/*
+ * Radiance trees: a second estimate of radiance from some millions of a bake's rays, sharper than cells, for what is seen directly:
+ * lmg_field_radiance with LMG_LINEAR asks them where they are.  Sampling, emission, illuminance and intensity don't.
+ * rays: of the same light as the field, as many as tell where it is: their sum is taken to be all that is stored and residual; sorted by
+ * something of their own, since trees depend on their order.  trees: 2 to LMG_MOST_TREES, 0 takes them away.  Colours are the cells'.
+ * Slabs that get trees: of a layout of more than six all but the last six, which lmg_layout_fit makes to catch the rest; windows are parts of the
+ * wide slab behind them.  Standard errors take rays' fluxes to be mixed alike everywhere in a slab.  On failure the field is as before.
+ * Errors: LMG_ERROR_ARGUMENT (no ray in a wide slab), LMG_ERROR_UNSUPPORTED (no slab whose (s,t) is a direction), LMG_ERROR_MEMORY.
+ */
+enum { LMG_MOST_TREES = 16 };
+LMG_API lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t trees, lmg_error *err);
+
+/* What the field has of them; zeros for none. */
+typedef struct lmg_tree_totals {
+    uint32_t trees;
+    uint64_t leaves, rays;
+    size_t memory; /* bytes, part of lmg_field_memory */
+} lmg_tree_totals;
+LMG_API lmg_tree_totals lmg_field_trees(const lmg_field *field);
+
 /* ---------------------------------------------------------------------------------------------------------------- file */
 
 /* Reads a box file (docs/format.md).  Files are untrusted: every size is checked before it is believed; nothing is returned of a file
@@ -322,8 +342,8 @@ LMG_API lmg_rounding lmg_field_rounding(const lmg_field *field);
 /* ------------------------------------------------------------------------------------------------------------- asking */
 
 /* How cells are read.  NEAREST: from the ray's own cell, in which radiance is linear with slopes from its neighbours and keeps its mean,
- * exactly what emission, illuminance and intensity use.  LINEAR: interpolated between cells (for pictures of the luminaire itself, where
- * steps from cell to cell would show). */
+ * exactly what emission, illuminance and intensity use.  LINEAR: for pictures of the luminaire itself, where steps from cell to cell would show:
+ * from the field's trees, if it has any, else interpolated between cells. */
 typedef enum lmg_filter { LMG_NEAREST = 0, LMG_LINEAR = 1 } lmg_filter;
 
 /* Radiance (cd/m2, as R,G,B) of the light that travels through origin (outside the bounds, downstream of the luminaire) in direction

@@ -1,0 +1,244 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Radiance trees as bytes: docs/format.md, radiance trees.  A fork is a byte, a leaf one or two; what is derived, etendue and so
+ * radiance, isn't stored.  Bytes of files are untrusted: nothing is believed but what fits.
+ */
+#include "field.h"
+#include "trees.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { VERSION = 1, HEAD = 16, PER_ROOT = 4 + 12 + 8, HASH = 8 };
+
+/* More nodes than any bake's trees have: what reading a file costs stays bounded. */
+static const size_t MOST_NODES = (size_t)1 << 25;
+/* Light and spread of a root beyond what any lamp has: sums and products of them stay finite. */
+static const double MOST_UNIT = 1e30, MOST_SPREAD = 1e12;
+
+/* Codes above the exact counts go by this many to an octave. */
+static const double PER_OCTAVE = 256;
+
+double lmg_tree_count(uint16_t code)
+{
+    return code < LMG_EXACT_COUNTS ? code : LMG_EXACT_COUNTS * exp2((code - LMG_EXACT_COUNTS) / PER_OCTAVE);
+}
+
+uint16_t lmg_tree_code(double count)
+{
+    if (!(count < LMG_EXACT_COUNTS - 0.5))
+        return (uint16_t)(LMG_EXACT_COUNTS +
+                          fmax(fmin(rint(PER_OCTAVE * log2(count / LMG_EXACT_COUNTS)), LMG_MOST_CODE - LMG_EXACT_COUNTS), 0));
+    return (uint16_t)fmax(rint(count), count > 0); /* no light becomes darkness */
+}
+
+/* ------------------------------------------------------------------------------------------------------------- writing */
+
+typedef struct writer {
+    unsigned char *at;
+} writer;
+
+static void put(writer *b, uint64_t value, int count)
+{
+    for (int i = 0; i < count; i++)
+        *b->at++ = (unsigned char)(value >> (8 * i));
+}
+
+static void put_double(writer *b, double x)
+{
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    put(b, bits, 8);
+}
+
+static void put_float(writer *b, float x)
+{
+    uint32_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    put(b, bits, 4);
+}
+
+unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
+{
+    size_t most = HEAD + (size_t)trees->root_count * PER_ROOT + HASH;
+    for (uint32_t k = 0; k < trees->tree_count; k++)
+        most += (size_t)trees->root_count * 8 + (size_t)2 * trees->trees[k].count;
+    unsigned char *start = malloc(most);
+    if (!start)
+        return NULL;
+    writer b = {start};
+    put(&b, VERSION, 4);
+    put(&b, trees->tree_count, 2);
+    put(&b, trees->root_count, 2);
+    put(&b, trees->rays, 8);
+    for (uint32_t j = 0; j < trees->root_count; j++) {
+        put(&b, trees->roots[j].slab, 4);
+        for (int c = 0; c < 3; c++)
+            put_float(&b, trees->roots[j].colour[c]);
+        put_double(&b, trees->roots[j].spread);
+    }
+    for (uint32_t k = 0; k < trees->tree_count; k++) {
+        const lmg_tree *tree = &trees->trees[k];
+        for (uint32_t j = 0; j < trees->root_count; j++)
+            put_double(&b, tree->unit[j]);
+        for (uint32_t i = 0; i < tree->count; i++) {
+            const lmg_tree_node *n = &tree->nodes[i];
+            if (n->axis != LMG_LEAF)
+                put(&b, 0x80u | (unsigned)n->axis << 5 | n->cut, 1);
+            else if (n->code < LMG_EXACT_COUNTS)
+                put(&b, n->code, 1);
+            else
+                put(&b,
+                    (LMG_EXACT_COUNTS + ((n->code - LMG_EXACT_COUNTS) >> 8)) | (uint64_t)((n->code - LMG_EXACT_COUNTS) & 255) << 8,
+                    2);
+        }
+    }
+    put(&b, lmg_hash(0xcbf29ce484222325u, start, (size_t)(b.at - start)), 8);
+    *size = (size_t)(b.at - start);
+    return start;
+}
+
+/* ------------------------------------------------------------------------------------------------------------- reading */
+
+typedef struct reader {
+    const unsigned char *at, *end;
+    bool failed;
+} reader;
+
+static uint64_t get(reader *r, int count)
+{
+    uint64_t value = 0;
+    if (r->end - r->at < count) {
+        r->failed = true;
+        r->at = r->end;
+        return 0;
+    }
+    for (int i = 0; i < count; i++)
+        value |= (uint64_t)*r->at++ << (8 * i);
+    return value;
+}
+
+static double get_double(reader *r)
+{
+    const uint64_t bits = get(r, 8);
+    double x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
+static float get_float(reader *r)
+{
+    const uint32_t bits = (uint32_t)get(r, 4);
+    float x;
+    memcpy(&x, &bits, sizeof x);
+    return x;
+}
+
+/* The nodes of one root, in preorder; false when they aren't a tree. */
+static bool get_nodes(reader *r, lmg_tree *tree, unsigned depth)
+{
+    const unsigned byte = (unsigned)get(r, 1);
+    if (r->failed || depth >= LMG_TREE_DEPTH)
+        return false;
+    lmg_tree_node *n = &tree->nodes[tree->count];
+    const uint32_t me = tree->count++;
+    *n = (lmg_tree_node){.axis = LMG_LEAF};
+    if (byte < 0x80) {
+        n->code = (uint16_t)(byte < LMG_EXACT_COUNTS ? byte : LMG_EXACT_COUNTS + ((byte - LMG_EXACT_COUNTS) << 8) + get(r, 1));
+        return !r->failed;
+    }
+    n->axis = (uint8_t)(byte >> 5 & 3);
+    n->cut = (uint8_t)(byte & 31);
+    if (!get_nodes(r, tree, depth + 1))
+        return false;
+    tree->nodes[me].second = tree->count;
+    return get_nodes(r, tree, depth + 1);
+}
+
+static bool get_tree(reader *r, const lmg_layout *layout, const lmg_trees *trees, lmg_tree *tree)
+{
+    for (uint32_t j = 0; j < trees->root_count; j++) {
+        tree->unit[j] = get_double(r);
+        if (!(tree->unit[j] >= 0) || !(tree->unit[j] <= MOST_UNIT))
+            return false;
+    }
+    for (uint32_t j = 0; j < trees->root_count; j++) {
+        tree->first[j] = tree->count;
+        if (!get_nodes(r, tree, 0))
+            return false;
+        lmg_tree_fill(tree, j, &layout->slabs[trees->roots[j].slab]);
+    }
+    for (uint32_t i = 0; i < tree->count; i++)
+        if (tree->nodes[i].axis == LMG_LEAF && !isfinite(tree->nodes[i].radiance))
+            return false;
+    return true;
+}
+
+static bool get_roots(reader *r, const lmg_layout *layout, lmg_trees *trees)
+{
+    for (uint32_t j = 0; j < trees->root_count; j++) {
+        lmg_tree_root *root = &trees->roots[j];
+        root->slab = (uint32_t)get(r, 4);
+        bool good = root->slab < layout->slab_count;
+        for (int c = 0; c < 3; c++) {
+            root->colour[c] = get_float(r);
+            good = good && isfinite(root->colour[c]);
+        }
+        root->spread = get_double(r);
+        good = good && root->spread >= 1 && root->spread <= MOST_SPREAD;
+        if (!good || r->failed || (layout->slabs[root->slab].kind == LMG_SLAB_CUBE && !isinf(layout->slabs[root->slab].distance)))
+            return false;
+    }
+    return true;
+}
+
+lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_layout *layout, lmg_trees **out, lmg_error *err)
+{
+    *out = NULL;
+    static const char damaged[] = "its radiance trees are damaged; copy or bake it again";
+    if (size < HEAD + HASH || size > 2 * MOST_NODES)
+        return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s", damaged);
+    reader r = {bytes, bytes + size - HASH, false}, tail = {bytes + size - HASH, bytes + size, false};
+    const uint64_t hash = get(&tail, HASH);
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* or a fuzzer would hardly get past this line */
+    (void)hash;
+#else
+    if (hash != lmg_hash(0xcbf29ce484222325u, bytes, size - HASH))
+        return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s", damaged);
+#endif
+    const uint64_t version = get(&r, 4);
+    if (version != VERSION)
+        return lmg_fail(err, LMG_ERROR_FILE_VERSION, "its radiance trees have version %u; this library (%s) reads version %d",
+                        (unsigned)version, LMG_VERSION_STRING, VERSION);
+    lmg_trees *trees = calloc(1, sizeof *trees);
+    if (!trees)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for its radiance trees");
+    trees->tree_count = (uint32_t)get(&r, 2);
+    trees->root_count = (uint32_t)get(&r, 2);
+    trees->rays = get(&r, 8);
+    const bool possible = trees->tree_count >= 1 && trees->tree_count <= LMG_MOST_TREES && trees->root_count >= 1 &&
+                          trees->root_count <= LMG_MAX_SLABS;
+    if (!possible)
+        trees->tree_count = 0;
+    bool good = possible && get_roots(&r, layout, trees), memory = true;
+    int64_t nodes_left = (int64_t)MOST_NODES;
+    for (uint32_t k = 0; good && k < trees->tree_count; k++) {
+        lmg_tree *tree = &trees->trees[k];
+        /* a node takes a byte at least */
+        tree->nodes = malloc((size_t)(r.end - r.at + 1) * sizeof *tree->nodes);
+        memory = tree->nodes != NULL;
+        good = memory && get_tree(&r, layout, trees, tree);
+        nodes_left -= good ? tree->count : 0;
+        good = good && nodes_left >= 0;
+        lmg_tree_node *nodes = good ? realloc(tree->nodes, tree->count * sizeof *nodes) : NULL;
+        tree->nodes = nodes ? nodes : tree->nodes;
+    }
+    if (good && r.at == r.end) {
+        *out = trees;
+        return LMG_OK;
+    }
+    lmg_trees_destroy(trees);
+    return memory ? lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s", damaged)
+                  : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for its radiance trees");
+}

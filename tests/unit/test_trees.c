@@ -1,0 +1,785 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Radiance trees: they keep the light, are sharper than cells, know their noise, come back from files as they were, and survive
+ * damaged bytes.  Seeds are fixed, so that a run is a fact.  The lamp is a formula: a Lambertian disc whose light ends sharply at
+ * 20 degrees, so that radiance is one number within edges in all four dimensions and 0 beyond them.
+ */
+#include "box_fixture.h"
+#include "field.h"
+#include "lamp_fixture.h"
+#include "trees.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#define PI 3.14159265358979323846
+
+static const double RADIUS = 0.05, SINE = 0.34202014332566873; /* of 20 degrees */
+static const lmg_vec3 LOW = {-0.06, -0.06, -0.02}, HIGH = {0.06, 0.06, 0};
+
+/* Of the disc with 1 lm. */
+static double disc_radiance(void)
+{
+    return 1 / (PI * RADIUS * RADIUS * PI * SINE * SINE);
+}
+
+/* From the disc and within the cone; both `wider` times as wide as its light: a uniform sample of etendue. */
+static lmg_ray disc_ray(lamp_rng *g, double wider)
+{
+    double at[4];
+    for (int i = 0; i < 4; i += 2) {
+        const double r = wider * (i == 0 ? RADIUS : SINE) * sqrt(lamp_next(g)), f = 2 * PI * lamp_next(g);
+        at[i] = r * cos(f);
+        at[i + 1] = r * sin(f);
+    }
+    return (lmg_ray){
+        .origin = {at[0], at[1], 0}, .direction = {at[2], at[3], sqrt(1 - at[2] * at[2] - at[3] * at[3])}, .flux = {1, 1, 1}};
+}
+
+static bool in_light(const lmg_ray *r)
+{
+    return hypot(r->origin.x, r->origin.y) < RADIUS && hypot(r->direction.x, r->direction.y) < SINE;
+}
+
+static lmg_ray *disc_rays(uint64_t seed, size_t count)
+{
+    lmg_ray *rays = malloc(count * sizeof *rays);
+    assert_non_null(rays);
+    for (size_t i = 0; i < count; i++) {
+        lamp_rng g = lamp_stream(seed, i);
+        rays[i] = disc_ray(&g, 1);
+        rays[i].number = i;
+    }
+    return rays;
+}
+
+static lmg_layout one_slab(lmg_slab_kind kind, double distance, uint32_t channels)
+{
+    return (lmg_layout){.slab_count = 1,
+                        .slabs = {{.kind = kind,
+                                   .a = {1, 0, 0},
+                                   .b = {0, 1, 0},
+                                   .n = {0, 0, 1},
+                                   .distance = distance,
+                                   .u0 = -0.06,
+                                   .u1 = 0.06,
+                                   .v0 = -0.06,
+                                   .v1 = 0.06,
+                                   .s0 = -1,
+                                   .s1 = 1,
+                                   .t0 = -1,
+                                   .t1 = 1,
+                                   .nu = 6,
+                                   .nv = 6,
+                                   .ns = 9,
+                                   .nt = 9}},
+                        .channels = channels,
+                        .colour = {1, 1, 1},
+                        .bounds_min = LOW,
+                        .bounds_max = HIGH,
+                        .size = 0.1};
+}
+
+/* The first ten thousand rays for a pilot. */
+static lmg_layout fitted(const lmg_ray *rays, lmg_fit_options wishes)
+{
+    lmg_layout layout;
+    lmg_error err = {{0}};
+    wishes.struct_size = sizeof wishes;
+    if (lmg_layout_fit(rays, 10000, &wishes, &layout, NULL, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    return layout;
+}
+
+/* The rays' light, 1 lm of it. */
+static lmg_field *field_of(const lmg_layout *layout, const lmg_ray *rays, size_t count)
+{
+    lmg_error err = {{0}};
+    lmg_accumulator *acc;
+    lmg_field *field;
+    if (lmg_accumulator_create(layout, &acc, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    lmg_accumulator_deposit(acc, rays, count);
+    const lmg_deposit_totals t = lmg_accumulator_totals(acc);
+    if (lmg_field_reconstruct(acc, 1 / (t.stored + t.residual), NULL, &field, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    lmg_accumulator_destroy(acc);
+    return field;
+}
+
+static void grow(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t trees)
+{
+    lmg_error err = {{0}};
+    if (lmg_field_grow_trees(field, rays, count, trees, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    assert_int_equal(lmg_field_trees(field).trees, trees);
+}
+
+/* One slab made by hand, few cells. */
+static lmg_field *small_field(uint64_t seed, size_t count, uint32_t trees)
+{
+    const lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 1);
+    lmg_ray *rays = disc_rays(seed, count);
+    lmg_field *field = field_of(&layout, rays, count);
+    grow(field, rays, count, trees);
+    free(rays);
+    return field;
+}
+
+/* What a camera sees a little way down the ray. */
+static double linear(const lmg_field *field, const lmg_ray *ray, double *se)
+{
+    const lmg_vec3 o = ray->origin, d = ray->direction;
+    float rgb[3], error;
+    lmg_field_radiance(field, (lmg_vec3){o.x + 0.1 * d.x, o.y + 0.1 * d.y, o.z + 0.1 * d.z}, d, LMG_LINEAR, rgb, &error);
+    assert_true(isfinite(rgb[0]) && isfinite(rgb[1]) && isfinite(rgb[2]) && isfinite(error) && error >= 0);
+    if (se)
+        *se = (double)error;
+    return lmg_luminance(rgb);
+}
+
+/* Steps over the nodes of a piece; the sum of its leaves' light. */
+static double light_of(const lmg_tree *tree, const lmg_slab *slab, const lmg_tree_box *box, uint32_t *node)
+{
+    const lmg_tree_node *n = &tree->nodes[(*node)++];
+    const double etendue = lmg_tree_etendue(slab, box);
+    assert_true(etendue > 0);
+    if (n->axis == LMG_LEAF) {
+        assert_true(isfinite(n->radiance) && n->radiance >= 0);
+        return (double)n->radiance * etendue;
+    }
+    lmg_tree_box half = *box;
+    half.hi[n->axis] = lmg_tree_cut(box, n->axis, n->cut);
+    double sum = light_of(tree, slab, &half, node);
+    assert_int_equal(n->second, *node);
+    half = *box;
+    half.lo[n->axis] = lmg_tree_cut(box, n->axis, n->cut);
+    return sum + light_of(tree, slab, &half, node);
+}
+
+static double light_of_root(const lmg_field *field, uint32_t tree, uint32_t root)
+{
+    const lmg_tree_box whole = lmg_tree_whole();
+    const lmg_tree *t = &field->trees->trees[tree];
+    uint32_t node = t->first[root];
+    const double light = light_of(t, &field->layout.slabs[field->trees->roots[root].slab], &whole, &node);
+    assert_int_equal(node, root + 1 < field->trees->root_count ? t->first[root + 1] : t->count);
+    return light;
+}
+
+/* ------------------------------------------------------------------------------------------------------- what trees say */
+
+/* Each tree's leaves hold the light of their root's rays, on one side of a lamp or on six, with a window and a focus or without. */
+static void test_light_is_kept(void **state)
+{
+    (void)state;
+    enum { RAYS = 30000 };
+    static const lamp LAMPS[] = {LAMP_DISC, LAMP_SPHERE, LAMP_LENS};
+    static const lmg_layout_choice CHOICES[] = {LMG_LAYOUT_APERTURE, LMG_LAYOUT_CUBE, LMG_LAYOUT_AUTO};
+    for (size_t i = 0; i < sizeof LAMPS / sizeof LAMPS[0]; i++) {
+        lmg_fit_options wishes = {.choice = CHOICES[i], .cells = 3000, .photons = RAYS};
+        lamp_bounds(LAMPS[i], &wishes.bounds_min, &wishes.bounds_max);
+        lmg_ray *rays = lamp_rays(LAMPS[i], 1, 0, RAYS);
+        const lmg_layout layout = fitted(rays, wishes);
+        lmg_field *field = field_of(&layout, rays, RAYS);
+        grow(field, rays, RAYS, 3);
+        const lmg_trees *trees = field->trees;
+        print_message("%s: %u slabs, %u roots\n", lamp_name(LAMPS[i]), layout.slab_count, trees->root_count);
+        if (CHOICES[i] != LMG_LAYOUT_AUTO)
+            assert_int_equal(trees->root_count, CHOICES[i] == LMG_LAYOUT_CUBE ? 6 : 1);
+        double held[LMG_MAX_SLABS] = {0};
+        for (size_t k = 0; k < RAYS; k++) {
+            float at[4];
+            const int root = lmg_trees_root(trees, &layout, rays[k].origin, rays[k].direction, at);
+            if (root >= 0)
+                held[root] += 1.0 / RAYS;
+        }
+        double in_roots = 0;
+        for (uint32_t j = 0; j < trees->root_count; j++)
+            in_roots += held[j];
+        assert_true(in_roots > 0.9);
+        uint64_t leaves = 0;
+        for (uint32_t k = 0; k < trees->tree_count; k++) {
+            for (uint32_t j = 0; j < trees->root_count; j++) {
+                assert_near(light_of_root(field, k, j), lmg_field_ledger(field).stored * held[j], 1e-6 * held[j]);
+            }
+            leaves += trees->trees[k].leaves;
+            assert_int_equal(trees->trees[k].count, 2 * trees->trees[k].leaves - trees->root_count);
+        }
+        const lmg_tree_totals t = lmg_field_trees(field);
+        assert_true(t.leaves == leaves && t.rays == RAYS && t.memory >= leaves * sizeof(lmg_tree_node) &&
+                    t.memory < lmg_field_memory(field));
+        free(rays);
+        lmg_field_destroy(field);
+    }
+}
+
+/* Light that no slab has is no light of the trees: beside an aperture of half its width the radiance within stays what it is. */
+static void test_light_beside(void **state)
+{
+    (void)state;
+    enum { RAYS = 100000 };
+    lmg_ray *rays = disc_rays(3, RAYS);
+    lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 1);
+    layout.slabs[0].u0 = 0;
+    lmg_field *field = field_of(&layout, rays, RAYS);
+    const lmg_ledger l = lmg_field_ledger(field);
+    assert_near(l.residual / (l.stored + l.residual), 0.5, 0.02);
+    grow(field, rays, RAYS, 8);
+    double sum = 0;
+    for (int i = 0; i < 20; i++) {
+        float rgb[3];
+        const lmg_vec3 from = {0.01 + 0.001 * i, 0.002 * (i - 10), 1}, along = {0, 0, 1};
+        lmg_field_radiance(field, from, along, LMG_LINEAR, rgb, NULL);
+        sum += lmg_luminance(rgb) / 20;
+    }
+    print_message("radiance %.4f of the light's own\n", sum / disc_radiance());
+    assert_near(sum / disc_radiance(), 1, 0.1);
+    free(rays);
+    lmg_field_destroy(field);
+}
+
+/* RMS over random rays around the light, in parts of the light's own radiance. */
+static double disc_error(const lmg_field *field, double *inside)
+{
+    enum { ASKED = 4000 };
+    double squares = 0, sum = 0, count = 0;
+    for (uint64_t i = 0; i < ASKED; i++) {
+        lamp_rng g = lamp_stream(99, i);
+        const lmg_ray r = disc_ray(&g, 1.2);
+        const double x = linear(field, &r, NULL) / disc_radiance(), e = x - in_light(&r);
+        squares += e * e;
+        if (hypot(r.origin.x, r.origin.y) < 0.7 * RADIUS && hypot(r.direction.x, r.direction.y) < 0.7 * SINE) {
+            sum += x;
+            count++;
+        }
+    }
+    *inside = sum / count;
+    return sqrt(squares / ASKED);
+}
+
+/* Against cells that a fit has put where the light is. */
+static void test_sharper_than_cells(void **state)
+{
+    (void)state;
+    enum { RAYS = 300000 };
+    lmg_ray *rays = disc_rays(1, RAYS);
+    const lmg_layout layout =
+        fitted(rays, (lmg_fit_options){.cells = 30000, .photons = RAYS, .bounds_min = LOW, .bounds_max = HIGH});
+    lmg_field *field = field_of(&layout, rays, RAYS);
+    double inside;
+    const double of_cells = disc_error(field, &inside);
+    grow(field, rays, RAYS, 8);
+    const double of_trees = disc_error(field, &inside);
+    print_message("RMS error of radiance: cells %.3f, 8 trees %.3f; mean inside %.4f\n", of_cells, of_trees, inside);
+    assert_true(of_trees < 0.6 * of_cells);
+    assert_near(inside, 1, 0.03);
+    grow(field, rays, RAYS, 2);
+    const double of_two = disc_error(field, &inside);
+    print_message("2 trees %.3f\n", of_two);
+    assert_true(of_trees < 0.95 * of_two);
+    free(rays);
+    lmg_field_destroy(field);
+}
+
+/* Rays of unequal fluxes, 0.2 and 1.8 by chance, or all alike: what is seen well inside the light has the right mean, and spreads
+ * from seed to seed as the standard error says. */
+static void test_standard_errors(void **state)
+{
+    (void)state;
+    enum { SEEDS = 20, RAYS = 20000, ASKED = 100 };
+    for (int unequal = 0; unequal < 2; unequal++) {
+        double sum[ASKED] = {0}, squares[ASKED] = {0}, variance[ASKED] = {0};
+        for (uint64_t seed = 0; seed < SEEDS; seed++) {
+            lmg_ray *rays = disc_rays(100 + seed, RAYS);
+            for (size_t i = 0; unequal && i < RAYS; i++) {
+                lamp_rng g = lamp_stream(200 + seed, i);
+                const float w = lamp_next(&g) < 0.5 ? 0.2F : 1.8F;
+                for (int c = 0; c < 3; c++)
+                    rays[i].flux[c] = w;
+            }
+            const lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 1);
+            lmg_field *field = field_of(&layout, rays, RAYS);
+            grow(field, rays, RAYS, 4);
+            assert_near(field->trees->roots[0].spread, unequal ? 1.64 : 1, 0.02 * unequal);
+            for (uint64_t i = 0; i < ASKED; i++) {
+                lamp_rng g = lamp_stream(98, i);
+                const lmg_ray r = disc_ray(&g, 0.5);
+                double se;
+                const double x = linear(field, &r, &se) / disc_radiance();
+                sum[i] += x;
+                squares[i] += x * x;
+                variance[i] += se * se / (disc_radiance() * disc_radiance());
+            }
+            free(rays);
+            lmg_field_destroy(field);
+        }
+        double mean = 0, ratio = 0;
+        for (int i = 0; i < ASKED; i++) {
+            const double m = sum[i] / SEEDS;
+            mean += m / ASKED;
+            ratio += (squares[i] / SEEDS - m * m) * SEEDS / (SEEDS - 1) / (variance[i] / SEEDS) / ASKED;
+        }
+        print_message("%s fluxes: mean %.4f, spread over standard error %.3f\n", unequal ? "unequal" : "equal", mean, sqrt(ratio));
+        assert_near(mean, 1, 0.02);
+        assert_true(sqrt(ratio) > 0.8 && sqrt(ratio) < 1.25);
+    }
+}
+
+/* A red half of the disc and a blue one: the cells' colours, the trees' luminance; where the cells are dark, the colour of all
+ * light. */
+static void test_colours(void **state)
+{
+    (void)state;
+    enum { RAYS = 20000, ASKED = 500 };
+    lmg_ray *rays = disc_rays(1, RAYS);
+    for (size_t i = 0; i < RAYS; i++) {
+        const bool red = rays[i].origin.x < 0;
+        rays[i].flux[0] = red ? 2 : 0.5F;
+        rays[i].flux[1] = 0.7F;
+        rays[i].flux[2] = red ? 0 : 3;
+    }
+    const lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 3);
+    lmg_field *plain = field_of(&layout, rays, RAYS), *field = field_of(&layout, rays, RAYS);
+    grow(field, rays, RAYS, 8);
+    int compared = 0;
+    for (uint64_t i = 0; i < ASKED; i++) {
+        lamp_rng g = lamp_stream(97, i);
+        const lmg_ray r = disc_ray(&g, 1.1);
+        float cells[3], here[3], at[4];
+        lmg_field_radiance(plain, r.origin, r.direction, LMG_LINEAR, cells, NULL);
+        lmg_field_radiance(field, r.origin, r.direction, LMG_LINEAR, here, NULL);
+        const int root = lmg_trees_root(field->trees, &layout, r.origin, r.direction, at);
+        assert_int_equal(root, 0);
+        const double luminance = lmg_trees_luminance(field->trees, root, at, NULL);
+        assert_near(lmg_luminance(here), luminance, 1e-5 * luminance);
+        if (lmg_luminance(cells) > 0 && luminance > 0) {
+            for (int c = 0; c < 3; c++)
+                assert_near((double)here[c] / luminance, (double)cells[c] / lmg_luminance(cells), 1e-5);
+            compared++;
+        }
+    }
+    assert_true(compared > ASKED / 2);
+    for (uint64_t k = 0; k < field->slabs[0].cells; k++)
+        for (int c = 0; c < 3; c++)
+            lmg_cell_radiance(&field->slabs[0], k)[c] = 0;
+    assert_int_equal(lmg_field_prepare(field, NULL), LMG_OK);
+    double all[3] = {0}, y = 0;
+    for (size_t i = 0; i < RAYS; i++) {
+        y += lmg_luminance(rays[i].flux);
+        for (int c = 0; c < 3; c++)
+            all[c] += (double)rays[i].flux[c];
+    }
+    const lmg_ray middle = {.origin = {0.01, 0, 0}, .direction = {0, 0, 1}};
+    float here[3];
+    lmg_field_radiance(field, middle.origin, middle.direction, LMG_LINEAR, here, NULL);
+    assert_true(lmg_luminance(here) > 0);
+    for (int c = 0; c < 3; c++)
+        assert_near((double)here[c] / lmg_luminance(here), all[c] / y, 1e-5);
+    /* what no light has, but a file might: answers are numbers still */
+    for (int c = 0; c < 3; c++)
+        field->trees->roots[0].colour[c] = c == 1 ? -3e38F : 3e38F;
+    linear(field, &middle, NULL);
+    free(rays);
+    lmg_field_destroy(plain);
+    lmg_field_destroy(field);
+}
+
+/* ------------------------------------------------------------------------------------------------------------- the call */
+
+static void test_asked_for(void **state)
+{
+    (void)state;
+    enum { RAYS = 5000 };
+    const lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 1), finite = one_slab(LMG_SLAB_CUBE, 0.5, 1);
+    lmg_ray *rays = disc_rays(1, RAYS);
+    lmg_field *field = field_of(&layout, rays, RAYS), *plain = field_of(&layout, rays, RAYS);
+    lmg_error err = {{0}};
+    assert_int_equal(lmg_field_grow_trees(field, rays, RAYS, LMG_MOST_TREES + 1, &err), LMG_ERROR_ARGUMENT);
+    assert_non_null(strstr(err.message, "17"));
+    assert_int_equal(lmg_field_grow_trees(field, NULL, 0, 8, &err), LMG_ERROR_ARGUMENT);
+    assert_int_equal(lmg_field_grow_trees(field, NULL, RAYS, 8, NULL), LMG_ERROR_ARGUMENT);
+    assert_int_equal(lmg_field_grow_trees(NULL, rays, RAYS, 8, NULL), LMG_ERROR_ARGUMENT);
+    /* dark, broken, or away from the slab: none is in it */
+    lmg_ray beside[3] = {rays[0], rays[1], rays[2]};
+    beside[0].flux[0] = beside[0].flux[1] = beside[0].flux[2] = 0;
+    beside[1].flux[1] = NAN;
+    beside[2].origin.x = 7;
+    assert_int_equal(lmg_field_grow_trees(field, beside, 3, 8, NULL), LMG_ERROR_ARGUMENT);
+    assert_true(lmg_field_trees(field).trees == 0 && lmg_field_trees(field).memory == 0 && !field->trees);
+
+    lmg_field *metres = field_of(&finite, rays, RAYS);
+    assert_int_equal(lmg_field_grow_trees(metres, rays, RAYS, 8, &err), LMG_ERROR_UNSUPPORTED);
+    assert_null(metres->trees);
+    lmg_field_destroy(metres);
+
+    /* only LINEAR radiance asks them */
+    grow(field, rays, RAYS, LMG_MOST_TREES);
+    int changed = 0;
+    for (uint64_t i = 0; i < 100; i++) {
+        lamp_rng g = lamp_stream(96, i);
+        const lmg_ray r = disc_ray(&g, 1.1);
+        float a[3], b[3], ea, eb;
+        lmg_field_radiance(field, r.origin, r.direction, LMG_NEAREST, a, &ea);
+        lmg_field_radiance(plain, r.origin, r.direction, LMG_NEAREST, b, &eb);
+        assert_memory_equal(a, b, sizeof a);
+        assert_true(ea == eb);
+        changed += linear(field, &r, NULL) != linear(plain, &r, NULL);
+        double xi[5];
+        for (int k = 0; k < 5; k++)
+            xi[k] = lamp_next(&g);
+        lmg_ray x, y;
+        assert_true(lmg_field_emit(field, xi, &x) && lmg_field_emit(plain, xi, &y));
+        assert_memory_equal(&x.origin, &y.origin, sizeof x.origin);
+        assert_memory_equal(&x.direction, &y.direction, sizeof x.direction);
+        assert_memory_equal(x.flux, y.flux, sizeof x.flux);
+    }
+    assert_true(changed > 50);
+    double a[3], b[3], ea, eb;
+    assert_int_equal(lmg_field_illuminance(field, (lmg_vec3){0, 0.02, 0.2}, (lmg_vec3){0, 0, -1}, a, &ea, NULL), LMG_OK);
+    assert_int_equal(lmg_field_illuminance(plain, (lmg_vec3){0, 0.02, 0.2}, (lmg_vec3){0, 0, -1}, b, &eb, NULL), LMG_OK);
+    assert_true(a[0] > 0 && memcmp(a, b, sizeof a) == 0 && ea == eb);
+
+    /* twice the light */
+    const lmg_ray middle = {.origin = {0.003, 0.001, 0}, .direction = {0, 0, 1}};
+    double se, twice_se;
+    const double x = linear(field, &middle, &se), light = light_of_root(field, 5, 0);
+    assert_int_equal(lmg_field_scale(field, 2.5, NULL), LMG_OK);
+    assert_near(linear(field, &middle, &twice_se), 2.5 * x, 1e-6 * x);
+    assert_near(twice_se, 2.5 * se, 1e-6 * se);
+    assert_near(light_of_root(field, 5, 0), 2.5 * light, 1e-6 * light);
+
+    grow(field, rays, RAYS, 0);
+    assert_null(field->trees);
+    assert_int_equal(lmg_field_scale(field, 0.4, NULL), LMG_OK);
+    assert_near(linear(field, &middle, NULL), linear(plain, &middle, NULL), 1e-6 * x);
+    free(rays);
+    lmg_field_destroy(plain);
+    lmg_field_destroy(field);
+}
+
+static void same_bytes(const lmg_trees *a, const lmg_trees *b)
+{
+    size_t n, m;
+    unsigned char *x = lmg_trees_encode(a, &n), *y = lmg_trees_encode(b, &m);
+    assert_true(x && y);
+    assert_int_equal(n, m);
+    assert_memory_equal(x, y, n);
+    free(x);
+    free(y);
+}
+
+/* The same rays, the same trees, each a function of its number however many there are; their mean doesn't ask which comes first. */
+static void test_same_again(void **state)
+{
+    (void)state;
+    lmg_field *field = small_field(1, 10000, 8), *again = small_field(1, 10000, 8), *few = small_field(1, 10000, 3);
+    same_bytes(field->trees, again->trees);
+    for (uint32_t k = 0; k < 3; k++) {
+        const lmg_tree *a = &field->trees->trees[k], *b = &few->trees->trees[k];
+        assert_true(a->count == b->count && a->unit[0] == b->unit[0]);
+        for (uint32_t i = 0; i < a->count; i++)
+            assert_true(a->nodes[i].axis == b->nodes[i].axis && a->nodes[i].cut == b->nodes[i].cut &&
+                        a->nodes[i].code == b->nodes[i].code);
+    }
+    for (uint32_t k = 0; k < 4; k++) {
+        const lmg_tree tree = again->trees->trees[k];
+        again->trees->trees[k] = again->trees->trees[7 - k];
+        again->trees->trees[7 - k] = tree;
+    }
+    for (uint64_t i = 0; i < 200; i++) {
+        lamp_rng g = lamp_stream(95, i);
+        const lmg_ray r = disc_ray(&g, 1.1);
+        double a, b;
+        const double x = linear(field, &r, &a);
+        assert_near(linear(again, &r, &b), x, 1e-6 * x);
+        assert_near(a, b, 0.01 * a);
+    }
+    lmg_field_destroy(few);
+    lmg_field_destroy(again);
+    lmg_field_destroy(field);
+}
+
+/* ---------------------------------------------------------------------------------------------------------------- files */
+
+static lmg_field *read_box(const char *path)
+{
+    lmg_error err = {{0}};
+    lmg_field *field = NULL;
+    if (lmg_field_read(path, &field, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    return field;
+}
+
+static void check_same_trees(const lmg_field *a, const lmg_field *b)
+{
+    const lmg_tree_totals t = lmg_field_trees(a), u = lmg_field_trees(b);
+    assert_true(t.trees == u.trees && t.leaves == u.leaves && t.rays == u.rays && t.memory == u.memory);
+    same_bytes(a->trees, b->trees);
+    for (uint64_t i = 0; i < 300; i++) {
+        lamp_rng g = lamp_stream(94, i);
+        const lmg_ray r = disc_ray(&g, 1.1);
+        float at[4];
+        double x, y;
+        const int root = lmg_trees_root(a->trees, &a->layout, r.origin, r.direction, at);
+        assert_true(lmg_trees_luminance(a->trees, root, at, &x) == lmg_trees_luminance(b->trees, root, at, &y) && x == y);
+    }
+}
+
+static void test_files(void **state)
+{
+    (void)state;
+    char directory[256], first[300], second[300];
+    fixture_directory(directory);
+    snprintf(first, sizeof first, "%s/a.box.exr", directory);
+    snprintf(second, sizeof second, "%s/b.box.exr", directory);
+    lmg_field *field = small_field(1, 20000, 8);
+    for (int rounded = 0; rounded < 2; rounded++) {
+        lmg_error err = {{0}};
+        if ((rounded ? lmg_field_write_rounded(field, first, 0.1, NULL, &err) : lmg_field_write(field, first, &err)) != LMG_OK)
+            fail_msg("%s", err.message);
+        lmg_field *back = read_box(first);
+        check_same_trees(field, back);
+        if (!rounded) {
+            assert_null(fixture_difference(field, back));
+            for (uint64_t i = 0; i < 300; i++) {
+                lamp_rng g = lamp_stream(93, i);
+                const lmg_ray r = disc_ray(&g, 1.1);
+                double a, b;
+                assert_true(linear(field, &r, &a) == linear(back, &r, &b) && a == b);
+            }
+        } else { /* as read: rounded once */
+            assert_int_equal(lmg_field_write(back, first, NULL), LMG_OK);
+        }
+        assert_int_equal(lmg_field_write(back, second, NULL), LMG_OK);
+        size_t n, m;
+        unsigned char *x = fixture_load(first, &n), *y = fixture_load(second, &m);
+        assert_int_equal(n, m);
+        assert_memory_equal(x, y, n);
+        free(x);
+        free(y);
+        lmg_field_destroy(back);
+    }
+    grow(field, NULL, 0, 0);
+    assert_int_equal(lmg_field_write(field, first, NULL), LMG_OK);
+    lmg_field *back = read_box(first);
+    assert_int_equal(lmg_field_trees(back).trees, 0);
+    lmg_field_destroy(back);
+    lmg_field_destroy(field);
+    fixture_remove_directory(directory);
+}
+
+/* -------------------------------------------------------------------------------------------------------- damaged bytes */
+
+/* docs/format.md: where things are in the bytes of a forest of one root. */
+enum {
+    AT_VERSION = 0,
+    AT_TREES = 4,
+    AT_ROOTS = 6,
+    AT_SLAB = 16,
+    AT_COLOUR = 20,
+    AT_SPREAD = 32,
+    AT_UNIT = 40,
+    AT_NODES = 48,
+    HASH = 8
+};
+
+static void make_hash(unsigned char *bytes, size_t size)
+{
+    const uint64_t hash = lmg_hash(0xcbf29ce484222325u, bytes, size - HASH);
+    for (int i = 0; i < HASH; i++)
+        bytes[size - HASH + (size_t)i] = (unsigned char)(hash >> (8 * i));
+}
+
+/* Bytes of an exact length, so that a sanitizer sees what is read beyond them: refused with a line, or trees that answer with
+ * numbers and are stored in the same bytes. */
+static lmg_result decode(const unsigned char *bytes, size_t size, const lmg_layout *layout)
+{
+    unsigned char *exact = malloc(size > 0 ? size : 1);
+    assert_non_null(exact);
+    memcpy(exact, bytes, size);
+    lmg_trees *trees = NULL;
+    lmg_error err = {{0}};
+    const lmg_result result = lmg_trees_decode(exact, size, layout, &trees, &err);
+    if (result != LMG_OK) {
+        assert_true(!trees && err.message[0] && (result == LMG_ERROR_FILE_FORMAT || result == LMG_ERROR_FILE_VERSION));
+    } else {
+        size_t again;
+        unsigned char *encoded = lmg_trees_encode(trees, &again);
+        assert_non_null(encoded);
+        assert_int_equal(again, size);
+        assert_memory_equal(encoded, exact, size);
+        free(encoded);
+        for (uint64_t i = 0; i < 20; i++) {
+            lamp_rng g = lamp_stream(92, i);
+            const float at[4] = {(float)lamp_next(&g), (float)lamp_next(&g), (float)lamp_next(&g),
+                                 i == 0 ? 0 : (float)lamp_next(&g)};
+            double variance;
+            const double x = lmg_trees_luminance(trees, 0, at, &variance);
+            assert_true(isfinite(x) && x >= 0 && isfinite(variance) && variance >= 0);
+        }
+    }
+    lmg_trees_destroy(trees);
+    free(exact);
+    return result;
+}
+
+/* A small forest, with a count above those that are stored exactly. */
+static unsigned char *small_forest(lmg_layout *layout, size_t *size)
+{
+    lmg_field *field = small_field(3, 1500, 2);
+    *layout = field->layout;
+    unsigned char *bytes = lmg_trees_encode(field->trees, size);
+    assert_non_null(bytes);
+    assert_true(*size < 1000);
+    lmg_field_destroy(field);
+    return bytes;
+}
+
+static void test_cut_and_flipped(void **state)
+{
+    (void)state;
+    lmg_layout layout;
+    size_t size;
+    unsigned char *bytes = small_forest(&layout, &size);
+    assert_int_equal(decode(bytes, size, &layout), LMG_OK);
+    for (size_t n = 0; n < size; n++) {
+        assert_int_equal(decode(bytes, n, &layout), LMG_ERROR_FILE_FORMAT);
+        if (n >= HASH) { /* so that more than the hash is looked at */
+            unsigned char tail[HASH];
+            memcpy(tail, bytes + n - HASH, HASH);
+            make_hash(bytes, n);
+            assert_int_equal(decode(bytes, n, &layout), LMG_ERROR_FILE_FORMAT);
+            memcpy(bytes + n - HASH, tail, HASH);
+        }
+    }
+    size_t accepted = 0;
+    for (size_t i = 0; i < 8 * size; i++) {
+        bytes[i / 8] ^= (unsigned char)(1 << i % 8);
+        assert_int_equal(decode(bytes, size, &layout), LMG_ERROR_FILE_FORMAT);
+        if (i / 8 < size - HASH) {
+            make_hash(bytes, size);
+            accepted += decode(bytes, size, &layout) == LMG_OK;
+        }
+        bytes[i / 8] ^= (unsigned char)(1 << i % 8);
+        make_hash(bytes, size);
+    }
+    /* a count or a cut that is another is no damage that shows */
+    assert_true(accepted > size && accepted < 8 * size);
+    assert_int_equal(decode(bytes, size, &layout), LMG_OK);
+    free(bytes);
+}
+
+/* Puts count bytes in place, has the forest decoded, and puts back what was there. */
+static lmg_result decode_with(unsigned char *bytes, size_t size, const lmg_layout *layout, size_t at, const void *value,
+                              size_t count)
+{
+    unsigned char was[16];
+    memcpy(was, bytes + at, count);
+    memcpy(bytes + at, value, count);
+    make_hash(bytes, size);
+    const lmg_result result = decode(bytes, size, layout);
+    memcpy(bytes + at, was, count);
+    make_hash(bytes, size);
+    return result;
+}
+
+/* A tree that is a chain of so many forks, each hanging on the first child of that above. */
+static size_t make_chain(unsigned char *bytes, size_t forks)
+{
+    bytes[AT_TREES] = 1;
+    for (size_t i = 0; i < forks; i++)
+        bytes[AT_NODES + i] = (unsigned char)(0x80 | (i % 4) << 5 | 16);
+    memset(bytes + AT_NODES + forks, 1, forks + 1);
+    const size_t size = AT_NODES + 2 * forks + 1 + HASH;
+    make_hash(bytes, size);
+    return size;
+}
+
+static void test_impossible_forests(void **state)
+{
+    (void)state;
+    lmg_layout layout;
+    size_t size;
+    unsigned char *bytes = small_forest(&layout, &size);
+    bytes = realloc(bytes, size + 1);
+    assert_non_null(bytes);
+#define WITH(place, value) decode_with(bytes, size, &layout, place, &(value), sizeof(value))
+    assert_int_equal(WITH(AT_VERSION, (uint32_t){2}), LMG_ERROR_FILE_VERSION);
+    static const uint16_t COUNTS[] = {0, 1, 3, LMG_MOST_TREES + 1, 65535};
+    for (int i = 0; i < 5; i++) {
+        assert_int_equal(WITH(AT_TREES, COUNTS[i]), LMG_ERROR_FILE_FORMAT);
+        if (COUNTS[i] != 1)
+            assert_int_equal(WITH(AT_ROOTS, COUNTS[i]), LMG_ERROR_FILE_FORMAT);
+    }
+    assert_int_equal(WITH(AT_SLAB, (uint32_t){1}), LMG_ERROR_FILE_FORMAT);
+    assert_int_equal(WITH(AT_SLAB, (uint32_t){UINT32_MAX}), LMG_ERROR_FILE_FORMAT);
+    static const double NUMBERS[] = {-1, NAN, INFINITY, -INFINITY};
+    for (int i = 0; i < 4; i++) {
+        assert_int_equal(WITH(AT_UNIT, NUMBERS[i]), LMG_ERROR_FILE_FORMAT);
+        assert_int_equal(WITH(AT_SPREAD, NUMBERS[i]), LMG_ERROR_FILE_FORMAT);
+        if (i > 0)
+            assert_int_equal(WITH(AT_COLOUR, (float){(float)NUMBERS[i]}), LMG_ERROR_FILE_FORMAT);
+    }
+    assert_int_equal(WITH(AT_SPREAD, (double){0.5}), LMG_ERROR_FILE_FORMAT);
+    assert_int_equal(WITH(AT_UNIT, (double){1e300}), LMG_ERROR_FILE_FORMAT); /* radiance beyond any number */
+    assert_int_equal(WITH(AT_UNIT, (double){0}), LMG_OK);
+#undef WITH
+    const lmg_layout finite = one_slab(LMG_SLAB_CUBE, 0.5, 1), slopes = one_slab(LMG_SLAB_CUBE, INFINITY, 1);
+    assert_int_equal(decode(bytes, size, &finite), LMG_ERROR_FILE_FORMAT);
+    assert_int_equal(decode(bytes, size, &slopes), LMG_OK);
+    /* more than there should be, within the hash */
+    bytes[size - HASH] = 0;
+    make_hash(bytes, size + 1);
+    assert_int_equal(decode(bytes, size + 1, &layout), LMG_ERROR_FILE_FORMAT);
+
+    /* as deep as trees may be, deeper, and with leaves that are no wider than a number's last bit */
+    unsigned char chain[AT_NODES + 2 * 100000 + 1 + HASH];
+    memcpy(chain, bytes, AT_NODES);
+    assert_int_equal(decode(chain, make_chain(chain, LMG_TREE_DEPTH - 1), &layout), LMG_OK);
+    assert_int_equal(decode(chain, make_chain(chain, LMG_TREE_DEPTH), &layout), LMG_ERROR_FILE_FORMAT);
+    assert_int_equal(decode(chain, make_chain(chain, 100000), &layout), LMG_ERROR_FILE_FORMAT);
+    const size_t thin = make_chain(chain, LMG_TREE_DEPTH - 1);
+    memset(chain + AT_NODES, 0x80 | 3 << 5 | 31, LMG_TREE_DEPTH - 1);
+    make_hash(chain, thin);
+    decode(chain, thin, &layout);
+    memset(chain + AT_NODES, 0x80 | 3 << 5, LMG_TREE_DEPTH - 1);
+    make_hash(chain, thin);
+    decode(chain, thin, &layout);
+    free(bytes);
+}
+
+/* Counts by themselves: exact as long as they are small, then to 0.14 %, in order. */
+static void test_counts(void **state)
+{
+    (void)state;
+    for (int code = 0; code <= LMG_MOST_CODE; code++) {
+        const double count = lmg_tree_count((uint16_t)code);
+        assert_int_equal(lmg_tree_code(count), code);
+        assert_true(code == 0 ? count == 0 : count > lmg_tree_count((uint16_t)(code - 1)));
+        if (code < LMG_EXACT_COUNTS)
+            assert_true(count == code);
+    }
+    for (double x = LMG_EXACT_COUNTS; x < 1e11; x *= 1.00037)
+        assert_near(lmg_tree_count(lmg_tree_code(x)), x, 0.00136 * x);
+    assert_int_equal(lmg_tree_code(-1), 0);
+    assert_int_equal(lmg_tree_code(1e30), LMG_MOST_CODE);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_light_is_kept),      cmocka_unit_test(test_light_beside), cmocka_unit_test(test_sharper_than_cells),
+        cmocka_unit_test(test_standard_errors),    cmocka_unit_test(test_colours),      cmocka_unit_test(test_asked_for),
+        cmocka_unit_test(test_same_again),         cmocka_unit_test(test_files),        cmocka_unit_test(test_cut_and_flipped),
+        cmocka_unit_test(test_impossible_forests), cmocka_unit_test(test_counts),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
