@@ -14,11 +14,12 @@
 
 #include <inttypes.h>
 #include <math.h>
-#include <stdatomic.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#include <unistd.h>
 
 /* The pilot takes a twentieth of the bake, at most 400,000 photons (more don't change a layout of some million cells) and at least
  * 20,000 (fewer don't tell where the light is); a tenth of a bake that is asked for in photons as long as that isn't more than
@@ -33,6 +34,10 @@ static const double DEFAULT_SECONDS = 60, DEFAULT_CHECKPOINT_SECONDS = 60;
  * asked for, no more than a lamp's near field needs. */
 static const uint64_t DEFAULT_CELLS = 4000000, MOST_CELLS = 64000000;
 static const double CELLS_PER_PHOTON = 16;
+/* Rays for trees are traced once more in rounds of so many photons, so that Ctrl-C is heard. */
+static const uint64_t TREE_ROUND = 200000;
+/* Seconds of a processor that growing a tree takes for each ray, about; and the most that trees take of a bake by time. */
+static const double TREE_SECONDS = 3.2e-7, MOST_FOR_TREES = 0.5;
 /* Receiver that the noise is told on. */
 static const uint32_t NOISE_PIXELS = 32;
 
@@ -64,8 +69,8 @@ double bake_light_error(const bake_tally *tally, double part)
 /* ------------------------------------------------------------------------------------------------------------ ray list */
 
 struct bake_ray_list {
-    size_t capacity;
-    atomic_size_t count; /* may run past the capacity: those rays were dropped */
+    pthread_mutex_t lock;
+    size_t capacity, count, dropped; /* dropped: no memory for them */
     bool sorted;
     lmg_ray *rays;
 };
@@ -76,9 +81,11 @@ lmg_result bake_ray_list_create(size_t capacity, bake_ray_list **out, lmg_error 
     bake_ray_list *list = calloc(1, sizeof(*list));
     if (list)
         list->rays = calloc(capacity, sizeof(*list->rays));
-    if (!list || !list->rays) {
+    if (!list || !list->rays || pthread_mutex_init(&list->lock, NULL) != 0) {
+        if (list)
+            free(list->rays);
         free(list);
-        return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for %zu pilot rays", capacity);
+        return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for a list of %zu rays", capacity);
     }
     list->capacity = capacity;
     *out = list;
@@ -89,18 +96,31 @@ void bake_ray_list_destroy(bake_ray_list *list)
 {
     if (!list)
         return;
+    pthread_mutex_destroy(&list->lock);
     free(list->rays);
     free(list);
 }
 
+/* Batches of hundreds of rays: the lock costs nothing beside them. */
 static void keep_rays(void *self, const lmg_ray *rays, size_t count)
 {
     bake_ray_list *list = self;
-    const size_t at = atomic_fetch_add_explicit(&list->count, count, memory_order_relaxed);
-    if (at >= list->capacity)
-        return;
-    const size_t room = list->capacity - at;
-    memcpy(list->rays + at, rays, (count < room ? count : room) * sizeof(*rays));
+    pthread_mutex_lock(&list->lock);
+    if (count > list->capacity - list->count) {
+        const size_t capacity = list->capacity + list->capacity / 2 + count;
+        lmg_ray *more = realloc(list->rays, capacity * sizeof(*more));
+        if (more) {
+            list->rays = more;
+            list->capacity = capacity;
+        }
+    }
+    if (count <= list->capacity - list->count) {
+        memcpy(list->rays + list->count, rays, count * sizeof(*rays));
+        list->count += count;
+    } else {
+        list->dropped += count;
+    }
+    pthread_mutex_unlock(&list->lock);
 }
 
 lmg_sink bake_ray_list_sink(bake_ray_list *list)
@@ -125,8 +145,7 @@ static int compare_rays(const void *x, const void *y)
 
 const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count)
 {
-    const size_t n = atomic_load(&list->count);
-    *count = n < list->capacity ? n : list->capacity;
+    *count = list->count;
     return list->rays;
 }
 
@@ -147,6 +166,7 @@ typedef struct bake {
     bake_source *tracer_of_all; /* with every effect of the model */
     bake_source *tracer;        /* with those that the plan simulates */
     bake_ray_list *pilot; /* NULL when resumed */
+    bake_ray_list *kept;  /* rays of the first photons, for trees; NULL: none wanted, or they have to be traced again */
     bake_tally pilot_tally;
     double gather_share; /* of the time, that gathering will take */
     bake_part *part;
@@ -237,6 +257,57 @@ static lmg_result measure_bias(bake *b, const lmg_field *field, lmg_error *err)
     return result == LMG_OK ? bake_bias_measure(field, rays, count, &b->report->bias, err) : result;
 }
 
+/* Has the rays of the bake's first photons kept for trees while they are traced; where others trace some of them, or have, they are traced
+ * once more in the end. */
+static lmg_result keep_rays_for_trees(bake *b, lmg_error *err)
+{
+    const bake_options *o = b->options;
+    if (o->trees == 0 || b->report->resumed || o->team)
+        return LMG_OK;
+    const uint64_t most = o->photons > 0 && o->photons < BAKE_TREE_PHOTONS ? o->photons : BAKE_TREE_PHOTONS;
+    return bake_ray_list_create((size_t)most + 1024, &b->kept, err);
+}
+
+static lmg_result trace_rays_for_trees(bake *b, lmg_error *err)
+{
+    const bake_options *o = b->options;
+    const uint64_t all = b->part->tally.photons, wanted = all < BAKE_TREE_PHOTONS ? all : BAKE_TREE_PHOTONS;
+    lmg_result result = bake_ray_list_create((size_t)wanted + 1024, &b->kept, err);
+    const lmg_sink sink = b->kept ? bake_ray_list_sink(b->kept) : (lmg_sink){0};
+    bake_tally tally = {0};
+    while (result == LMG_OK && tally.photons < wanted && !stopped(b)) {
+        const uint64_t left = wanted - tally.photons;
+        result = b->tracer->run(b->tracer, o->first + tally.photons, left < TREE_ROUND ? left : TREE_ROUND, o->threads, &sink, 1, &tally, err);
+    }
+    return result;
+}
+
+/* Grows the trees, the same whoever has traced the photons.  What hinders that is told, and the box does without: a bake isn't lost for it. */
+static lmg_result grow_trees(bake *b, lmg_field *field)
+{
+    const bake_options *o = b->options;
+    bake_report *r = b->report;
+    if (o->trees == 0)
+        return LMG_OK;
+    const double began = bake_clock();
+    lmg_error why = {.message = ""};
+    lmg_result result = LMG_OK;
+    if (!b->kept && !r->interrupted)
+        result = trace_rays_for_trees(b, &why);
+    if (r->interrupted || stopped(b)) {
+        result = lmg_fail(&why, LMG_ERROR_UNSUPPORTED, "interrupted; go on with --resume");
+    } else if (result == LMG_OK) {
+        size_t count;
+        const lmg_ray *rays = bake_ray_list_sorted(b->kept, &count);
+        result = b->kept->dropped > 0 ? lmg_fail(&why, LMG_ERROR_MEMORY, "no memory for their rays")
+                                      : lmg_field_grow_trees(field, rays, count, o->trees, &why);
+    }
+    r->trees_seconds = bake_clock() - began;
+    if (result != LMG_OK)
+        snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", why.message);
+    return LMG_OK;
+}
+
 /* Numbers of the photons to trace: first .. end-1. */
 static uint64_t end_of(const bake_options *o)
 {
@@ -286,7 +357,7 @@ static lmg_result trace(bake *b, double deadline, lmg_error *err)
 {
     const bake_options *o = b->options;
     bake_part *part = b->part;
-    const lmg_sink sink = lmg_accumulator_sink(part->accumulator);
+    lmg_sink sinks[2] = {lmg_accumulator_sink(part->accumulator)};
     const double began = bake_clock(), before = part->seconds;
     const double between = o->checkpoint_seconds > 0 ? o->checkpoint_seconds : DEFAULT_CHECKPOINT_SECONDS;
     double checkpoint_due = o->checkpoint ? began + between : (double)INFINITY;
@@ -315,7 +386,13 @@ static lmg_result trace(bake *b, double deadline, lmg_error *err)
             team = NULL;
             continue;
         }
-        lmg_result result = b->tracer->run(b->tracer, first, round, o->threads, &sink, 1, &part->tally, err);
+        const bool keep = b->kept && first < o->first + BAKE_TREE_PHOTONS;
+        if (keep) {
+            sinks[1] = bake_ray_list_sink(b->kept);
+            if (round > o->first + BAKE_TREE_PHOTONS - first)
+                round = o->first + BAKE_TREE_PHOTONS - first;
+        }
+        lmg_result result = b->tracer->run(b->tracer, first, round, o->threads, sinks, keep ? 2 : 1, &part->tally, err);
         if (result == LMG_OK)
             result = bake_part_add_range(part, first, round, err);
         const double after = bake_clock();
@@ -598,6 +675,15 @@ static lmg_result gather(bake *b, lmg_gathering **out, lmg_error *err)
     return result;
 }
 
+/* Share of the seconds that growing the trees will take. */
+static double trees_share(const bake *b, double seconds)
+{
+    const bake_options *o = b->options;
+    const double rate = (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6), rays = fmin(rate * seconds, BAKE_TREE_PHOTONS);
+    const double at_once = fmin(o->threads > 0 ? o->threads : (double)sysconf(_SC_NPROCESSORS_ONLN), o->trees);
+    return o->trees == 0 ? 0 : fmin(ceil(o->trees / at_once) * rays * TREE_SECONDS / seconds, MOST_FOR_TREES);
+}
+
 static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
 {
     const bake_options *o = b->options;
@@ -612,7 +698,9 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     if (result == LMG_OK)
         result = b->resume ? resume_part(b, err) : begin_part(b, seconds, err);
     if (result == LMG_OK)
-        result = trace(b, o->photons ? (double)INFINITY : began + (seconds - b->part->seconds) * (1 - b->gather_share), err);
+        result = keep_rays_for_trees(b, err);
+    if (result == LMG_OK)
+        result = trace(b, o->photons ? (double)INFINITY : began + (seconds - b->part->seconds) * (1 - b->gather_share) * (1 - trees_share(b, seconds)), err);
     if (result != LMG_OK)
         return result;
 
@@ -635,6 +723,8 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     if (result == LMG_OK)
         result = measure_bias(b, *out, err);
     r->reconstruct_seconds = bake_clock() - reconstruct_began;
+    if (result == LMG_OK)
+        result = grow_trees(b, *out);
     return result;
 }
 
@@ -652,6 +742,7 @@ lmg_result bake_run(const struct lum_model *model, const bake_options *options, 
     bake_part_destroy(b.part);
     bake_part_destroy(b.resume);
     bake_ray_list_destroy(b.pilot);
+    bake_ray_list_destroy(b.kept);
     if (b.tracer)
         b.tracer->destroy(b.tracer);
     if (b.tracer_of_all) /* lends to the other */

@@ -36,6 +36,7 @@ typedef struct bake_options {
                                up to 100,000 */
     double rays_per_photon; /* traced backwards for each stored photon, once they are traced (gather.h); 0 = photons only, < 0 = as
                                the pilot says */
+    uint32_t trees;         /* radiance trees (lmg_field_grow_trees) of the first photons, up to BAKE_TREE_PHOTONS; 0 = none */
     uint64_t seed;
     bool effects_chosen;    /* simulate `effects` (bits of bake_effect) as far as the model has them, instead of what a plan says */
     uint32_t effects;
@@ -66,8 +67,9 @@ typedef struct bake_report {
     uint64_t pilot_photons;
     uint64_t refused; /* rays that the accumulator refused; counted as lost in the ledger */
     uint64_t gathered_rays; /* traced backwards */
+    char no_trees_why[200]; /* why there are none though they were asked for; "" otherwise */
     char gather_why[200];   /* why so many; "" when it wasn't asked, or decided by an earlier run */
-    double plan_seconds, pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds;
+    double plan_seconds, pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds, trees_seconds;
     double noise;     /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */
     bake_bias bias;   /* what the cells smooth, as the pilot's rays see it */
     bake_plan plan;   /* of effects; plan.simulated are those of the box */
@@ -83,7 +85,7 @@ typedef struct bake_report {
 lmg_result bake_run(const struct lum_model *model, const bake_options *options, lmg_field **out, bake_report *report,
                     lmg_error *err);
 
-/* A sink that keeps rays.  Rays are sorted by photon number when asked for, so their order doesn't depend on threads. */
+/* A sink that keeps rays, at first with room for `capacity` of them.  Rays are sorted by photon number when asked for, so their order doesn't depend on threads. */
 typedef struct bake_ray_list bake_ray_list;
 lmg_result bake_ray_list_create(size_t capacity, bake_ray_list **out, lmg_error *err);
 void bake_ray_list_destroy(bake_ray_list *list);
@@ -96,6 +98,9 @@ const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count); /* f
 
 /* Bytes of a box, at most, when nothing is asked for. */
 #define BAKE_SIZE 16e6
+
+/* Photons of a bake that radiance trees are grown of, at most: their rays take some 200 bytes each while that lasts, and 20 more for each thread. */
+#define BAKE_TREE_PHOTONS 4000000
 
 /* Pilot photons are numbered from here on, apart from those of the bake. */
 #define BAKE_PILOT_FIRST (UINT64_C(1) << 62)

@@ -37,6 +37,7 @@ enum {
     KEY_EFFECTS,
     KEY_EFFECTS_ERROR,
     KEY_GATHER,
+    KEY_TREES,
     KEY_RESUME,
     KEY_CHECKPOINT,
     KEY_KEEP,
@@ -68,6 +69,7 @@ static const struct argp_option OPTIONS[] = {
     {"effects", KEY_EFFECTS, "LIST", 0, "auto, all, or effects to simulate", 4},
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving them out may change (default 0.1%)", 4},
     {"gather", KEY_GATHER, "R|auto", 0, "R rays traced backwards per photon (default none)", 4},
+    {"trees", KEY_TREES, "N", 0, "2 to 16 radiance trees, for the lamp as it is looked at; they add to --size (default none)", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
     {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},
@@ -147,6 +149,10 @@ static void settle_photons(struct argp_state *state, command *c)
         usage_error(
             state,
             "--gather: a bake in parts is merged without its lamp, of photons only; leave out --gather, or --share and --first");
+    if (c->target.error > 0 && o->trees > 0)
+        usage_error(state, "--trees: --error judges cells; bake once more with --trees and the --photons that it finds");
+    if ((c->shares || c->given_first) && o->trees > 0)
+        usage_error(state, "--trees: a bake in parts is merged without its rays, which trees grow of; leave out --trees, or --share and --first");
 }
 
 static void argument_effects(struct argp_state *state, const char *text, bake_options *o)
@@ -213,6 +219,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_GATHER:
         c->bake.rays_per_photon = strcmp(arg, "auto") == 0 ? -1 : argument_number(state, "--gather", arg, 1.0 / 64, 64);
+        break;
+    case KEY_TREES:
+        c->bake.trees = (uint32_t)argument_count(state, "--trees", arg, 2, LMG_MOST_TREES);
         break;
     case KEY_SEED:
         c->bake.seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
@@ -345,6 +354,8 @@ static char *settings_text(const command *c)
         json_object_set_new(o, "size", json_real(c->bake.size));
     if (c->target.error > 0) /* up to 64 million cells then */
         json_object_set_new(o, "error", json_real(c->target.error));
+    if (c->bake.trees > 0)
+        json_object_set_new(o, "trees", json_integer(c->bake.trees));
     if (c->bake.effects_error > 0)
         json_object_set_new(o, "effects_error", json_real(c->bake.effects_error));
     if (c->bake.flux_lm > 0)
@@ -425,9 +436,10 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
     json_object_set_new(o, "photons_per_second", json_number((double)l.photons / trace));
     json_object_set_new(o, "segments_per_second", json_number((double)r->tally.segments / trace));
     json_object_set_new(o, "seconds",
-                        json_pack("{s:f, s:f, s:f, s:f, s:f, s:f}", "plan", r->plan_seconds, "pilot", r->pilot_seconds, "trace",
-                                  r->trace_seconds, "gather", r->gather_seconds, "reconstruct", r->reconstruct_seconds, "total",
-                                  seconds));
+                        json_pack("{s:f, s:f, s:f, s:f, s:f, s:f, s:f}", "plan", r->plan_seconds, "pilot", r->pilot_seconds, "trace",
+                                  r->trace_seconds, "gather", r->gather_seconds, "reconstruct", r->reconstruct_seconds, "trees",
+                                  r->trees_seconds, "total", seconds));
+    json_object_set_new(o, "trees", json_trees(field));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "bytes_foretold", r->size_foretold > 0 ? json_number(r->size_foretold) : json_null());
     json_object_set_new(o, "rounding",
@@ -492,9 +504,13 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
             printf("            %.*s\n", (int)length, line);
         line += length + (line[length] == '\n');
     }
+    const lmg_tree_totals trees = lmg_field_trees(field);
+    if (trees.trees > 0)
+        printf("  trees     %u with %.3g M leaves in all, of %.3g M rays, in %.1f s\n", trees.trees, 1e-6 * (double)trees.leaves,
+               1e-6 * (double)trees.rays, r->trees_seconds);
     printf("  file      %.2f MB", 1e-6 * (double)bytes);
     if (r->size_foretold > 0)
-        printf(" (foretold: %.2f)", 1e-6 * r->size_foretold);
+        printf(" (foretold%s: %.2f)", trees.trees > 0 ? " without trees" : "", 1e-6 * r->size_foretold);
     printf(", ");
     if (c->lost.loss > 0 || c->lost.half_loss > 0)
         printf("cells rounded by %.2g of their noise; ", c->lost.loss);
@@ -582,6 +598,8 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
         if (missed)
             fprintf(stderr, "warning: the error asked for isn't reached%s\n",
                     c->bake.fit.cells ? ": --cells fixes how fine the box can be; give more, or leave it out" : "");
+        if (report.no_trees_why[0])
+            fprintf(stderr, "warning: no radiance trees: %s\n", report.no_trees_why);
         if (report.interrupted)
             fprintf(stderr, "interrupted: the box holds the %" PRIu64 " photons traced so far; --resume goes on from %s\n",
                     report.tally.photons, c->part);

@@ -168,6 +168,7 @@ static json_t *info_json(const command *c, const lmg_field *field, uint64_t byte
     const lmg_rounding lost = lmg_field_rounding(field);
     json_object_set_new(o, "rounding",
                         json_pack("{s:o, s:o}", "loss", json_number(lost.loss), "half_loss", json_number(lost.half_loss)));
+    json_object_set_new(o, "trees", json_trees(field));
     json_object_set_new(o, "ledger", ledger);
     json_object_set_new(o, "channels", json_integer(y->channels));
     json_object_set_new(o, "colour", json_pack("[f,f,f]", (double)y->colour[0], (double)y->colour[1], (double)y->colour[2]));
@@ -212,6 +213,10 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
         printf("cells rounded: RMS %.2g of their standard errors, halves %.2g\n", lost.loss, lost.half_loss);
     else
         printf("lossless\n");
+    const lmg_tree_totals trees = lmg_field_trees(field);
+    if (trees.trees > 0)
+        printf("%u radiance trees with %.3g M leaves in all, of %.3g M rays; %.1f MB of that memory\n", trees.trees, 1e-6 * (double)trees.leaves,
+               1e-6 * (double)trees.rays, 1e-6 * (double)trees.memory);
     printf("\nWhere the light went (%" PRIu64 " photons)\n", l.photons);
     printf("  emitted   %12.6g %s\n", l.emitted, unit);
     print_share("stored", unit, l.stored, l.stored_se, l.emitted);

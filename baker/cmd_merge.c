@@ -123,6 +123,8 @@ int cmd_merge(int argc, char **argv)
     result = add_up(&c, &sum, &err);
     if (result == LMG_OK)
         result = bake_part_field(sum, NULL, &field, &err);
+    if (result == LMG_OK && !c.quiet && sum->texts[PART_SETTINGS] && strstr(sum->texts[PART_SETTINGS], "\"trees\""))
+        fputs("warning: the parts are of a bake with --trees, which merging can't grow: the box has none\n", stderr);
     int code = result == LMG_OK ? EXIT_DONE : report_error(result, &err);
     lmg_rounding lost;
     if (result == LMG_OK && (write_box(field, c.output, c.lossless, &lost, &err) != LMG_OK || (c.keep && bake_part_write(sum, part, &err) != LMG_OK)))

@@ -100,4 +100,7 @@ json_t *json_plan(const struct bake_plan *plan);
 /* A JSON number; null when it isn't finite. */
 json_t *json_number(double value);
 
+/* What a box has of radiance trees; null for none. */
+json_t *json_trees(const lmg_field *field);
+
 #endif

@@ -79,6 +79,9 @@ static void test_usage_errors(void **state)
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--layout", "sphere"), 2, "sphere");
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--resolution", "8,8,8"), 2, "8,8,8");
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--recipe", "r.json", "--no-recipe"), 2, "exclude");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "17"), 2, "--trees");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--photons", "1000", "--share", "1/2"), 2, "leave out --trees");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--photons", "1000", "--first", "500", "--pilot", "1000"), 2, "leave out --trees");
     EXPECT(RUN("probe", box), 2, "--points");
     EXPECT(RUN("probe", box, "--points", "-", "--rays", "-"), 2, "at a time");
     EXPECT(RUN("probe", box, "--points", "-", "--linear"), 2, "--rays");
@@ -214,6 +217,49 @@ static void test_bake_summary_and_flux(void **state)
     assert_int_equal(o.code, 0);
     assert_string_equal(o.out, "");
     assert_string_equal(o.err, "");
+    release(&o);
+}
+
+/* Radiance trees, when they are asked for: the summary and the box say how many. */
+static void test_trees(void **state)
+{
+    (void)state;
+    char with[1200], without[1200];
+    snprintf(with, sizeof(with), "%s", in_folder("trees.box.exr"));
+    snprintf(without, sizeof(without), "%s", in_folder("no-trees.box.exr"));
+    outcome o = RUN("bake", lamp, "-o", with, "--photons", "20000", "--cells", "5e3", "--effects", "all", "--trees", "8", "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = parse_json(o.out);
+    assert_int_equal(number_at(j, "trees", "trees"), 8);
+    const double leaves = number_at(j, "trees", "leaves"), rays = number_at(j, "trees", "rays");
+    /* a photon leaves as one ray at most; no leaf is taken for less than a few */
+    assert_true(leaves > 8 && leaves < rays && rays > 2000 && rays <= 20000);
+    json_decref(j);
+    release(&o);
+    o = RUN("info", with, "--json");
+    assert_int_equal(o.code, 0);
+    j = parse_json(o.out);
+    assert_true(number_at(j, "trees", "trees") == 8 && number_at(j, "trees", "leaves") == leaves && number_at(j, "trees", "rays") == rays &&
+                number_at(j, "trees", "memory") > leaves);
+    json_decref(j);
+    release(&o);
+    o = RUN("info", with);
+    assert_non_null(strstr(o.out, "8 radiance trees"));
+    release(&o);
+
+    o = RUN("bake", lamp, "-o", without, "--photons", "20000", "--cells", "5e3", "--effects", "all", "--json");
+    assert_int_equal(o.code, 0);
+    j = parse_json(o.out);
+    assert_true(json_is_null(json_object_get(j, "trees")));
+    json_decref(j);
+    release(&o);
+    o = RUN("info", without, "--json");
+    j = parse_json(o.out);
+    assert_true(json_is_null(json_object_get(j, "trees")));
+    json_decref(j);
+    release(&o);
+    o = RUN("info", without);
+    assert_null(strstr(o.out, "radiance trees"));
     release(&o);
 }
 
@@ -686,6 +732,7 @@ int main(void)
         cmocka_unit_test(test_dark_and_closed_lamps),
         cmocka_unit_test(test_same_bytes_for_any_threads),
         cmocka_unit_test(test_bake_summary_and_flux),
+        cmocka_unit_test(test_trees),
         cmocka_unit_test(test_interrupt),
         cmocka_unit_test(test_probe),
         cmocka_unit_test(test_bad_tables),

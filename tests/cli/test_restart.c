@@ -406,6 +406,48 @@ static void test_more_photons(void **state)
     same_file(whole.text, box.text);
 }
 
+/* Trees grow of the bake's first photons, whoever traces them and when: on any number of threads, once more after resuming, and of those
+ * that an interrupted bake has. */
+static void test_trees(void **state)
+{
+    (void)state;
+    const name whole = path_of("whole.box.exr"), box = path_of("trees.box.exr"), part = path_of("trees.box.exr.part");
+#define TREES(box, ...) BAKE(globe, "-o", box, "--pilot", "30000", "--trees", "4", __VA_ARGS__)
+    TREES(whole.text, "--photons", "100000", "--threads", "1");
+    TREES(box.text, "--photons", "100000", "--threads", "3");
+    same_file(whole.text, box.text);
+    TREES(box.text, "--photons", "33333", "--keep");
+    TREES(box.text, "--photons", "100000", "--resume");
+    same_file(whole.text, box.text);
+    assert_false(exists(part.text));
+
+    const name few = path_of("few.box.exr");
+    const pid_t pid = start((const char *const[]){"bake", globe, "-o", box.text, "--pilot", "30000", "--trees", "4", "--photons", "1e9", "--cells",
+                                                  "1e5", "--effects", "all", "--checkpoint", "0.05s", NULL});
+    wait_written(pid, part.text, 0);
+    kill(pid, SIGINT);
+    outcome o = finish(pid);
+    assert_int_equal(o.code, 130);
+    release(&o);
+    o = RUN("info", box.text, "--json");
+    assert_int_equal(o.code, 0);
+    json_t *j = json_loads(o.out, 0, NULL);
+    assert_true(json_is_null(json_object_get(j, "trees"))); /* they are for the whole bake */
+    char traced[24];
+    const json_int_t photons = json_integer_value(json_object_get(json_object_get(j, "ledger"), "photons"));
+    snprintf(traced, sizeof(traced), "%lld", (long long)photons);
+    json_decref(j);
+    release(&o);
+    /* with other trees it would be another box */
+    EXPECT(RUN("bake", globe, "-o", box.text, "--photons", "1e9", "--cells", "1e5", "--effects", "all", "--resume", "-q"), 3, "settings");
+    /* going on without a photon more makes up for them */
+    TREES(few.text, "--photons", traced);
+    TREES(box.text, "--photons", traced, "--resume");
+    same_file(few.text, box.text);
+#undef TREES
+    unlink(part.text);
+}
+
 /* ----------------------------------------------------------------------------------------------------------------- MPI */
 
 #ifdef MPIRUN
@@ -482,6 +524,15 @@ static void test_mpi(void **state)
     same_file(whole.text, box.text);
     EXPECT(finish(start_team((const char *const[]){"missing.gltf", "-o", box.text, NULL})), 3, "missing.gltf");
 
+    /* trees, of photons that no process has traced alone */
+    BAKE(globe, "-o", whole.text, "--photons", "100000", "--trees", "4");
+    o = finish(start_team((const char *const[]){globe, "-o", box.text, "--photons", "100000", "--trees", "4", "--cells", "1e5", "--effects", "all",
+                                                "--threads", "1", "-q", NULL}));
+    if (o.code != 0)
+        fail_msg("exit code %d: %s", o.code, o.err);
+    release(&o);
+    same_file(whole.text, box.text);
+
     /* a search for an error, two bakes of it at least, one after the other */
     o = RUN("bake", globe, "-o", whole.text, "--error", "4%", "--cells", "1e5", "--effects", "all");
     assert_true(o.code == 0 && strstr(o.err, "bake 2:"));
@@ -519,7 +570,8 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_seven_uneven_parts),      cmocka_unit_test(test_shares),
         cmocka_unit_test(test_strangers_are_refused),   cmocka_unit_test(test_damaged_parts),
         cmocka_unit_test(test_more_time), cmocka_unit_test(test_interrupted_and_resumed), cmocka_unit_test(test_killed_and_resumed),
-        cmocka_unit_test(test_more_photons),            cmocka_unit_test(test_mpi),
+        cmocka_unit_test(test_more_photons),            cmocka_unit_test(test_trees),
+        cmocka_unit_test(test_mpi),
     };
     return cmocka_run_group_tests_name("restart", tests, setup, NULL);
 }
