@@ -2,7 +2,7 @@
 /*
  * What a box makes of its photons, against the best uniform table: one opening or six faces, constant radiance in equal cells over
  * all directions, any split of the cells between (u,v) and (s,t), as many photons, and at most as many lit cells (dark ones cost a
- * file next to nothing), up to four times as many cells in all.  The tables stand on the planes and rectangles that the box's own
+ * file next to nothing; two leaves of a tree take as much of one as a cell), up to four times as many cells in all.  The tables stand on the planes and rectangles that the box's own
  * fit has found, and whatever passes beside them is taken as exact: all in the tables' favour.  So is that the best table is chosen
  * for each measure by itself.
  *
@@ -19,13 +19,14 @@
  * photons.  What of squares is below its standard error isn't told from nothing: two such errors count as alike.
  *
  * Usage: test_bench_reconstruction [LAMP|all [photons [cells, 0 = as many as the photons are worth [judging photons [sizes of
- * tables [rays]]]]]]; a line of JSON for each lamp.  rays: traced backwards for each photon that leaves, beside the box's photons (0; -1: as
- * the pilot says).
+ * tables [rays [trees]]]]]]]; a line of JSON for each lamp.  rays: traced backwards for each photon that leaves, beside the box's photons (0; -1: as
+ * the pilot says).  trees: radiance trees of the box (0), which radiance and pictures are then those of.
  */
 #include "bake.h"
 #include "sampler.h"
 #include "geometry.h"
 #include "receiver.h"
+#include "trees.h"
 #include "view_path.h"
 
 #include <luminaires/model.h>
@@ -344,6 +345,13 @@ static void fill_tables(void *self, const lmg_ray *rays, size_t n)
         }
 }
 
+/* Whether the box's trees tell the radiance along a ray. */
+static bool in_trees(const lmg_field *field, lmg_vec3 origin, lmg_vec3 direction)
+{
+    float at[4];
+    return field->trees && lmg_trees_root(field->trees, &field->layout, origin, direction, at) >= 0;
+}
+
 static void judge_by(void *self, const lmg_ray *rays, size_t n)
 {
     trial *t = self;
@@ -359,7 +367,7 @@ static void judge_by(void *self, const lmg_ray *rays, size_t n)
         }
         lmg_vec3 beyond = v_fma(ray->origin, 4 * t->in.radius, ray->direction);
         float rgb[3];
-        lmg_field_radiance(t->field, beyond, ray->direction, LMG_NEAREST, rgb, NULL);
+        lmg_field_radiance(t->field, beyond, ray->direction, in_trees(t->field, ray->origin, ray->direction) ? LMG_LINEAR : LMG_NEAREST, rgb, NULL);
         const double there = look(t->lamp, beyond, ray->direction, &rng), missing = y * (there - 2 * lmg_luminance(rgb));
         t->cross += y * lmg_luminance(rgb);
         t->square += y * there;
@@ -432,6 +440,64 @@ static void judge_pictures(trial *t, errors *box, errors *floor, double lumens_p
         t->tables[k]->error.pictures = sums[k] / energy;
 }
 
+/* Square of the trees' radiance, lm cd/m2: their mean radiance along rays that are distributed as their light, times that light. */
+static double trees_self(const lmg_field *field, uint64_t count, double *se)
+{
+    const lmg_trees *trees = field->trees;
+    double self = 0, squares = 0, flux = 0;
+    lum_rng rng = lum_rng_stream(SEED + 7, 0);
+    for (uint32_t r = 0; r < trees->root_count; r++)
+        for (uint32_t k = 0; k < trees->tree_count; k++) {
+            const lmg_tree *tree = &trees->trees[k];
+            const lmg_slab *slab = &field->layout.slabs[trees->roots[r].slab];
+            const uint32_t end = r + 1 < trees->root_count ? tree->first[r + 1] : tree->count;
+            double *upto = reserve(end - tree->first[r], sizeof *upto), sum = 0;
+            for (uint32_t i = tree->first[r]; i < end; i++)
+                upto[i - tree->first[r]] = sum += tree->nodes[i].axis == LMG_LEAF ? lmg_tree_count(tree->nodes[i].code) : 0;
+            const double light = sum * tree->unit[r] / trees->tree_count;
+            const uint64_t samples = 1 + count / trees->root_count / trees->tree_count;
+            double mean = 0, square = 0;
+            for (uint64_t n = 0; n < samples && sum > 0; n++) {
+                const double want = lum_rng_next(&rng) * sum;
+                uint32_t lo = 0, hi = end - tree->first[r] - 1;
+                while (lo < hi) {
+                    const uint32_t mid = (lo + hi) / 2;
+                    upto[mid] > want ? (hi = mid) : (lo = mid + 1);
+                }
+                /* the leaf's box, by going down to it */
+                lmg_tree_box b = lmg_tree_whole();
+                for (uint32_t at = tree->first[r], leaf = tree->first[r] + lo; tree->nodes[at].axis != LMG_LEAF;) {
+                    const lmg_tree_node *fork = &tree->nodes[at];
+                    const double cut = lmg_tree_cut(&b, fork->axis, fork->cut);
+                    const bool second = leaf >= fork->second;
+                    *(second ? &b.lo[fork->axis] : &b.hi[fork->axis]) = cut;
+                    at = second ? fork->second : at + 1;
+                }
+                lmg_slab piece = *slab;
+                piece.u0 = slab->u0 + b.lo[0] * (slab->u1 - slab->u0), piece.u1 = slab->u0 + b.hi[0] * (slab->u1 - slab->u0);
+                piece.v0 = slab->v0 + b.lo[1] * (slab->v1 - slab->v0), piece.v1 = slab->v0 + b.hi[1] * (slab->v1 - slab->v0);
+                piece.s0 = slab->s0 + b.lo[2] * (slab->s1 - slab->s0), piece.s1 = slab->s0 + b.hi[2] * (slab->s1 - slab->s0);
+                piece.t0 = slab->t0 + b.lo[3] * (slab->t1 - slab->t0), piece.t1 = slab->t0 + b.hi[3] * (slab->t1 - slab->t0);
+                piece.nu = piece.nv = piece.ns = piece.nt = 1;
+                static const uint32_t only[4] = {0, 0, 0, 0};
+                lmg_vec3 o, d;
+                float rgb[3];
+                ray_in_cell(&piece, only, &rng, &o, &d);
+                const double far = 4 * v_length(v_sub(field->layout.bounds_max, field->layout.bounds_min));
+                lmg_field_radiance(field, v_fma(o, far, d), d, LMG_LINEAR, rgb, NULL);
+                mean += lmg_luminance(rgb);
+                square += lmg_luminance(rgb) * lmg_luminance(rgb);
+            }
+            mean /= (double)samples;
+            flux += light;
+            self += light * mean;
+            squares += light * light * fmax(square / (double)samples - mean * mean, 0) / (double)samples;
+            free(upto);
+        }
+    *se = sqrt(squares);
+    return self;
+}
+
 /* Rays of the box in the receivers, for box and reference scaled to lumens; the box's mean radiance along them, and the standard
  * error of that. */
 static double emit(const trial *t, uint64_t count, images *out, double *se)
@@ -452,7 +518,7 @@ static double emit(const trial *t, uint64_t count, images *out, double *se)
                 (*out)[n & 1][k][px] += 1;
         }
         lmg_field_radiance(t->field, v_fma(ray.origin, 4 * t->in.radius, ray.direction), ray.direction, LMG_NEAREST, rgb, NULL);
-        const double l = lmg_luminance(rgb);
+        const double l = in_trees(t->field, ray.origin, ray.direction) ? 0 : lmg_luminance(rgb); /* theirs: trees_self */
         self += l;
         squares += l * l;
     }
@@ -498,7 +564,8 @@ static double resolution(const images *reference, int k, double energy, double s
     return sqrt(squares) / energy;
 }
 
-static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_t judging, size_t sizes, double backward)
+static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_t judging, size_t sizes, double backward,
+                     uint32_t trees)
 {
     static const double SPLIT[] = {1.0 / 16, 1.0 / 4, 1, 4, 16, 64}, SIZE[] = {1.0 / 16, 1.0 / 4, 1, 4};
     lmg_error err;
@@ -506,6 +573,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     lamp_open(&l, name);
     bake_options options = {.photons = photons,
                             .rays_per_photon = backward,
+                            .trees = trees,
                             .seed = SEED,
                             .fit = {.struct_size = sizeof options.fit, .cells = cells}};
     bake_report report;
@@ -521,6 +589,10 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
         for (uint64_t i = 0; i < t.field->slabs[j].cells; i++)
             lit += lmg_cell_luminance(t.field, j, i) > 0;
     }
+    const lmg_tree_totals grown = lmg_field_trees(t.field);
+    if (grown.trees > 0)
+        printf("%u trees with %.3g M leaves in %.1f s\n", grown.trees, 1e-6 * (double)grown.leaves, report.trees_seconds);
+    lit += grown.leaves / 2;
 
     lmg_vec3 extent = v_sub(l.source->bounds_max, l.source->bounds_min);
     bake_ray_list *list;
@@ -578,10 +650,11 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
 
     errors box = {0}, floor = {0};
     /* squares of radiance, lm cd/m2: box, box x lamp, lamp */
-    const double bb = ledger.stored * self, bl = per_judge * t.cross, ll = per_judge * t.square;
+    double trees_se = 0;
+    const double bb = ledger.stored * self + (t.field->trees ? trees_self(t.field, judging, &trees_se) : 0), bl = per_judge * t.cross, ll = per_judge * t.square;
     box.radiance = (bb - 2 * bl + ll) / ll;
     floor.radiance =
-        hypot(ledger.stored * self_se, per_judge * sqrt(fmax(t.missing_squares - t.missing * t.missing / (double)t.seen, 0))) / ll;
+        hypot(hypot(ledger.stored * self_se, trees_se), per_judge * sqrt(fmax(t.missing_squares - t.missing * t.missing / (double)t.seen, 0))) / ll;
     /* Cauchy and Schwarz: no light has less, but for noise; a lamp whose light paths don't find (fluorescence, say) has */
     const bool seen = ll > 0.9 * bl * bl / bb;
     if (seen)
@@ -664,6 +737,7 @@ int main(int argc, char **argv)
     const double backward = argc > 6 ? atof(argv[6]) : 0;
     for (size_t i = 0; i < sizeof LAMPS / sizeof *LAMPS; i++)
         if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i]) == 0)
-            run_lamp(LAMPS[i], photons, cells, judging, argc > 5 ? (size_t)atoi(argv[5]) : 4, backward);
+            run_lamp(LAMPS[i], photons, cells, judging, argc > 5 ? (size_t)atoi(argv[5]) : 4, backward,
+                     argc > 7 ? (uint32_t)atoi(argv[7]) : 0);
     return 0;
 }
