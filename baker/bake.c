@@ -5,6 +5,7 @@
  */
 #include "bake.h"
 
+#include "parallel.h"
 #include "part.h"
 #include "receiver.h"
 #include "size.h"
@@ -19,7 +20,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
-#include <unistd.h>
 
 /* The pilot takes a twentieth of the bake, at most 400,000 photons (more don't change a layout of some million cells) and at least
  * 20,000 (fewer don't tell where the light is); a tenth of a bake that is asked for in photons as long as that isn't more than
@@ -129,6 +129,11 @@ lmg_sink bake_ray_list_sink(bake_ray_list *list)
     return (lmg_sink){.self = list, .consume = keep_rays};
 }
 
+lmg_result bake_ray_list_check(const bake_ray_list *list, lmg_error *err)
+{
+    return list->dropped == 0 ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "no memory for a list of %zu rays", list->count + list->dropped);
+}
+
 /* By number; rays of one photon (a multiplied one) by direction, then origin, so that equal sets have equal order. */
 static int compare_rays(const void *x, const void *y)
 {
@@ -205,6 +210,8 @@ static lmg_result run_pilot(bake *b, double seconds, lmg_error *err)
             b->tracer->run(b->tracer, BAKE_PILOT_FIRST + tally.photons, wanted - tally.photons, o->threads, &sink, 1, &tally, err);
     b->part->pilot_photons = tally.photons;
     b->pilot_tally = tally;
+    if (result == LMG_OK)
+        result = bake_ray_list_check(b->pilot, err);
     if (result != LMG_OK)
         return result;
 
@@ -252,6 +259,8 @@ static lmg_result measure_bias(bake *b, const lmg_field *field, lmg_error *err)
         bake_tally tally = {0};
         result = b->tracer->run(b->tracer, BAKE_PILOT_FIRST, wanted, b->options->threads, &sink, 1, &tally, err);
     }
+    if (result == LMG_OK)
+        result = bake_ray_list_check(b->pilot, err);
     size_t count;
     const lmg_ray *rays = bake_ray_list_sorted(b->pilot, &count);
     return result == LMG_OK ? bake_bias_measure(field, rays, count, &b->report->bias, err) : result;
@@ -283,29 +292,29 @@ static lmg_result trace_rays_for_trees(bake *b, lmg_error *err)
 }
 
 /* Grows the trees, the same whoever has traced the photons.  What hinders that is told, and the box does without: a bake isn't lost for it. */
-static lmg_result grow_trees(bake *b, lmg_field *field)
+static void grow_trees(bake *b, lmg_field *field)
 {
     const bake_options *o = b->options;
     bake_report *r = b->report;
     if (o->trees == 0)
-        return LMG_OK;
+        return;
     const double began = bake_clock();
     lmg_error why = {.message = ""};
     lmg_result result = LMG_OK;
     if (!b->kept && !r->interrupted)
         result = trace_rays_for_trees(b, &why);
-    if (r->interrupted || stopped(b)) {
+    if (r->interrupted || stopped(b))
         result = lmg_fail(&why, LMG_ERROR_UNSUPPORTED, "interrupted; go on with --resume");
-    } else if (result == LMG_OK) {
+    if (result == LMG_OK)
+        result = bake_ray_list_check(b->kept, &why);
+    if (result == LMG_OK) {
         size_t count;
         const lmg_ray *rays = bake_ray_list_sorted(b->kept, &count);
-        result = b->kept->dropped > 0 ? lmg_fail(&why, LMG_ERROR_MEMORY, "no memory for their rays")
-                                      : lmg_field_grow_trees(field, rays, count, o->trees, &why);
+        result = lmg_field_grow_trees(field, rays, count, o->trees, &why);
     }
     r->trees_seconds = bake_clock() - began;
     if (result != LMG_OK)
         snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", why.message);
-    return LMG_OK;
 }
 
 /* Numbers of the photons to trace: first .. end-1. */
@@ -680,7 +689,7 @@ static double trees_share(const bake *b, double seconds)
 {
     const bake_options *o = b->options;
     const double rate = (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6), rays = fmin(rate * seconds, BAKE_TREE_PHOTONS);
-    const double at_once = fmin(o->threads > 0 ? o->threads : (double)sysconf(_SC_NPROCESSORS_ONLN), o->trees);
+    const double at_once = fmin(bake_thread_count(o->threads), o->trees);
     return o->trees == 0 ? 0 : fmin(ceil(o->trees / at_once) * rays * TREE_SECONDS / seconds, MOST_FOR_TREES);
 }
 
@@ -724,7 +733,7 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
         result = measure_bias(b, *out, err);
     r->reconstruct_seconds = bake_clock() - reconstruct_began;
     if (result == LMG_OK)
-        result = grow_trees(b, *out);
+        grow_trees(b, *out);
     return result;
 }
 

@@ -90,6 +90,8 @@ typedef struct bake_ray_list bake_ray_list;
 lmg_result bake_ray_list_create(size_t capacity, bake_ray_list **out, lmg_error *err);
 void bake_ray_list_destroy(bake_ray_list *list);
 lmg_sink bake_ray_list_sink(bake_ray_list *list);
+/* LMG_ERROR_MEMORY if there was no memory for some of the rays: which of them are missing is a matter of chance then. */
+lmg_result bake_ray_list_check(const bake_ray_list *list, lmg_error *err);
 const lmg_ray *bake_ray_list_sorted(bake_ray_list *list, size_t *count);
 const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count); /* for sums of integers */
 

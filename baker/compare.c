@@ -121,6 +121,8 @@ static lmg_result run_pilot(bake_source *source, unsigned threads, bake_ray_list
     bake_tally tally = {0};
     result = source->run(source, BAKE_PILOT_FIRST, PILOT_PHOTONS, threads, &sink, 1, &tally, err);
     *rays = bake_ray_list_sorted(*list, count);
+    if (result == LMG_OK)
+        result = bake_ray_list_check(*list, err);
     if (result == LMG_OK && *count == 0)
         result = lmg_fail(err, LMG_ERROR_INPUT, "no light leaves the luminaire: nothing to compare");
     if (result != LMG_OK) {

@@ -79,6 +79,8 @@ static lmg_result fit_layout(bake_source *source, const bake_convert_options *o,
     result = source->run(source, all ? 0 : BAKE_PILOT_FIRST, count, o->threads, &sink, 1, &tally, err);
     size_t rays = 0;
     const lmg_ray *sorted = bake_ray_list_sorted(list, &rays);
+    if (result == LMG_OK)
+        result = bake_ray_list_check(list, err);
     if (result == LMG_OK && rays == 0)
         result = lmg_fail(err, LMG_ERROR_INPUT, "no light leaves it");
     if (result == LMG_OK) {
@@ -166,18 +168,16 @@ lmg_result bake_convert_to_field(bake_source *source, const bake_convert_options
 static lmg_result write_round(bake_source *source, const bake_convert_options *o, uint64_t first, uint64_t count, double unit,
                               lum_ray_writer *writer, bake_tally *tally, bake_conversion *report, lmg_error *err)
 {
-    /* A photon may leave as several rays, but on the mean as one at most: twice as many of a whole round don't happen. */
     bake_ray_list *list;
-    const size_t room = 2 * (size_t)count;
-    lmg_result result = bake_ray_list_create(room, &list, err);
+    lmg_result result = bake_ray_list_create((size_t)count, &list, err);
     if (result != LMG_OK)
         return result;
     const lmg_sink sink = bake_ray_list_sink(list);
     result = source->run(source, first, count, o->threads, &sink, 1, tally, err);
     size_t rays = 0;
     const lmg_ray *sorted = bake_ray_list_sorted(list, &rays);
-    if (result == LMG_OK && rays == room)
-        result = lmg_fail(err, LMG_ERROR_INTERNAL, "more rays than two for every photon");
+    if (result == LMG_OK)
+        result = bake_ray_list_check(list, err);
     if (result == LMG_OK)
         result = lum_ray_writer_append(writer, sorted, rays, unit, err);
     report->rays += rays;

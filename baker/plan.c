@@ -220,7 +220,7 @@ static void measure(const census *with, const census *without, bake_plan_entry *
 static lmg_result take_census(const bake_source *tracer, uint64_t photons, unsigned threads, census *c, double *seconds, lmg_error *err)
 {
     bake_ray_list *list;
-    lmg_result result = bake_ray_list_create(2 * photons, &list, err); /* twice: colours out of gamut may multiply photons */
+    lmg_result result = bake_ray_list_create(photons, &list, err);
     if (result != LMG_OK)
         return result;
     memset(c, 0, sizeof(*c));
@@ -233,6 +233,8 @@ static lmg_result take_census(const bake_source *tracer, uint64_t photons, unsig
     *seconds = (bake_clock() - began) * bake_thread_count(threads) / (double)photons;
     size_t count;
     const lmg_ray *rays = bake_ray_list_any_order(list, &count);
+    if (result == LMG_OK)
+        result = bake_ray_list_check(list, err);
     if (result == LMG_OK)
         count_rays(c, rays, count);
     bake_ray_list_destroy(list);

@@ -146,6 +146,8 @@ static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
     lmg_layout layout;
     lmg_accumulator *accumulator = NULL;
     if (result == LMG_OK)
+        result = bake_ray_list_check(list, err);
+    if (result == LMG_OK)
         result = lmg_layout_fit(rays, count, &fit, &layout, NULL, err);
     if (result == LMG_OK)
         result = lmg_accumulator_create(&layout, &accumulator, err);

@@ -511,6 +511,9 @@ lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, size_t co
         r = lmg_work_do(&work, err);
     }
     free(points);
+    if (r == LMG_OK && lmg_trees_size(made) > LMG_TREE_BYTES)
+        r = lmg_fail(err, LMG_ERROR_UNSUPPORTED, "trees: larger than a file may hold (%d MB); fewer rays or fewer trees would help",
+                     LMG_TREE_BYTES / 1000000);
     lmg_trees_destroy(r == LMG_OK ? field->trees : made);
     if (r == LMG_OK)
         field->trees = made;

@@ -12,8 +12,8 @@
 
 enum { VERSION = 1, HEAD = 16, PER_ROOT = 4 + 12 + 8, HASH = 8 };
 
-/* More nodes than any bake's trees have: what reading a file costs stays bounded. */
-static const size_t MOST_NODES = (size_t)1 << 25;
+/* lmg_hash's. */
+static const uint64_t HASH_START = 0xcbf29ce484222325u;
 /* Light and spread of a root beyond what any lamp has: sums and products of them stay finite. */
 static const double MOST_UNIT = 1e30, MOST_SPREAD = 1e12;
 
@@ -59,12 +59,17 @@ static void put_float(writer *b, float x)
     put(b, bits, 4);
 }
 
-unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
+size_t lmg_trees_size(const lmg_trees *trees)
 {
     size_t most = HEAD + (size_t)trees->root_count * PER_ROOT + HASH;
     for (uint32_t k = 0; k < trees->tree_count; k++)
         most += (size_t)trees->root_count * 8 + (size_t)2 * trees->trees[k].count;
-    unsigned char *start = malloc(most);
+    return most;
+}
+
+unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
+{
+    unsigned char *start = malloc(lmg_trees_size(trees));
     if (!start)
         return NULL;
     writer b = {start};
@@ -94,7 +99,7 @@ unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
                     2);
         }
     }
-    put(&b, lmg_hash(0xcbf29ce484222325u, start, (size_t)(b.at - start)), 8);
+    put(&b, lmg_hash(HASH_START, start, (size_t)(b.at - start)), 8);
     *size = (size_t)(b.at - start);
     return start;
 }
@@ -197,14 +202,14 @@ lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_l
 {
     *out = NULL;
     static const char damaged[] = "its radiance trees are damaged; copy or bake it again";
-    if (size < HEAD + HASH || size > 2 * MOST_NODES)
+    if (size < HEAD + HASH || size > LMG_TREE_BYTES)
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s", damaged);
     reader r = {bytes, bytes + size - HASH, false}, tail = {bytes + size - HASH, bytes + size, false};
     const uint64_t hash = get(&tail, HASH);
 #ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* or a fuzzer would hardly get past this line */
     (void)hash;
 #else
-    if (hash != lmg_hash(0xcbf29ce484222325u, bytes, size - HASH))
+    if (hash != lmg_hash(HASH_START, bytes, size - HASH))
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s", damaged);
 #endif
     const uint64_t version = get(&r, 4);
@@ -222,15 +227,12 @@ lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_l
     if (!possible)
         trees->tree_count = 0;
     bool good = possible && get_roots(&r, layout, trees), memory = true;
-    int64_t nodes_left = (int64_t)MOST_NODES;
     for (uint32_t k = 0; good && k < trees->tree_count; k++) {
         lmg_tree *tree = &trees->trees[k];
         /* a node takes a byte at least */
         tree->nodes = malloc((size_t)(r.end - r.at + 1) * sizeof *tree->nodes);
         memory = tree->nodes != NULL;
         good = memory && get_tree(&r, layout, trees, tree);
-        nodes_left -= good ? tree->count : 0;
-        good = good && nodes_left >= 0;
         lmg_tree_node *nodes = good ? realloc(tree->nodes, tree->count * sizeof *nodes) : NULL;
         tree->nodes = nodes ? nodes : tree->nodes;
     }

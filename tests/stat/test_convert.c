@@ -20,6 +20,7 @@
 #include <luminaires/rng.h>
 
 #include <math.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -676,13 +677,56 @@ static void pilots_are_spread(void **state)
     }
 }
 
+/* A list keeps every ray of several threads, however small its room at first, in the order of their numbers. */
+enum { FEEDERS = 4, FEED = 5000, BATCH = 50 };
+
+typedef struct feeder {
+    lmg_sink sink;
+    uint64_t first;
+} feeder;
+
+static void *feed(void *argument)
+{
+    const feeder *f = argument;
+    lmg_ray batch[BATCH] = {{.direction = {0, 0, 1}}};
+    for (uint64_t n = 0; n < FEED; n += BATCH) {
+        for (uint64_t i = 0; i < BATCH; i++)
+            batch[i].number = f->first + n + i;
+        f->sink.consume(f->sink.self, batch, BATCH);
+    }
+    return NULL;
+}
+
+static void ray_lists_grow(void **state)
+{
+    (void)state;
+    lmg_error err;
+    bake_ray_list *list;
+    assert_int_equal(bake_ray_list_create(10, &list, &err), LMG_OK);
+    feeder feeders[FEEDERS];
+    pthread_t threads_of[FEEDERS];
+    for (int i = 0; i < FEEDERS; i++) {
+        feeders[i] = (feeder){bake_ray_list_sink(list), (uint64_t)(FEEDERS - 1 - i) * FEED};
+        assert_int_equal(pthread_create(&threads_of[i], NULL, feed, &feeders[i]), 0);
+    }
+    for (int i = 0; i < FEEDERS; i++)
+        assert_int_equal(pthread_join(threads_of[i], NULL), 0);
+    size_t count;
+    assert_int_equal(bake_ray_list_check(list, &err), LMG_OK);
+    const lmg_ray *rays = bake_ray_list_sorted(list, &count);
+    assert_int_equal(count, FEEDERS * FEED);
+    for (size_t i = 0; i < count; i++)
+        assert_int_equal(rays[i].number, i);
+    bake_ray_list_destroy(list);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(measured_near_field),          cmocka_unit_test(lambertian_square), cmocka_unit_test(half_intensity),
         cmocka_unit_test(sampled_rays_give_the_box_back), cmocka_unit_test(threads),
         cmocka_unit_test(goniometer_pictures),          cmocka_unit_test(pilots_are_spread),
-                 cmocka_unit_test(application_distance),
+        cmocka_unit_test(application_distance),         cmocka_unit_test(ray_lists_grow),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

@@ -298,7 +298,8 @@ LMG_API lmg_result lmg_field_scale(lmg_field *field, double factor, lmg_error *e
  * something of their own, since trees depend on their order.  trees: 2 to LMG_MOST_TREES, 0 takes them away.  Colours are the cells'.
  * Slabs that get trees: of a layout of more than six all but the last six, which lmg_layout_fit makes to catch the rest; windows are parts of the
  * wide slab behind them.  Standard errors take rays' fluxes to be mixed alike everywhere in a slab.  On failure the field is as before.
- * Errors: LMG_ERROR_ARGUMENT (no ray in a wide slab), LMG_ERROR_UNSUPPORTED (no slab whose (s,t) is a direction), LMG_ERROR_MEMORY.
+ * Errors: LMG_ERROR_ARGUMENT (no ray in a wide slab), LMG_ERROR_UNSUPPORTED (no slab whose (s,t) is a direction; more of them
+ * than a file may hold), LMG_ERROR_MEMORY.
  */
 enum { LMG_MOST_TREES = 16 };
 LMG_API lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t trees, lmg_error *err);
