@@ -105,7 +105,7 @@ bake_tally hard_trace(bake_source *source, uint64_t count, const lmg_sink *sink)
 {
     bake_tally t = {0};
     lmg_error err = {{0}};
-    if (source->run(source, 0, count, 0, sink, sink ? 1 : 0, &t, &err) != LMG_OK)
+    if (source->run(source, 0, count, sink ? 1 : 0, sink, sink ? 1 : 0, &t, &err) != LMG_OK)
         fail_msg("%s", err.message);
     if (t.emitted != t.escaped + t.absorbed + t.lost || t.emitted != (double)count)
         fail_msg("the balance of %.0f photons is open: %.17g escaped, %.17g absorbed, %.17g lost", t.emitted, t.escaped, t.absorbed,

@@ -40,7 +40,7 @@ static inline lmg_vec3 v3(double x, double y, double z)
     return (lmg_vec3){x, y, z};
 }
 
-/* A tracer of a model; traces; the balance of what it traced has to be exact. */
+/* A tracer of a model; traces, into a sink on one thread since tests count without locks; the balance of what it traced has to be exact. */
 bake_source *hard_tracer(const lum_model *model, uint64_t seed);
 bake_tally hard_trace(bake_source *source, uint64_t count, const lmg_sink *sink);
 
