@@ -36,8 +36,11 @@ static const uint64_t DEFAULT_CELLS = 4000000, MOST_CELLS = 64000000;
 static const double CELLS_PER_PHOTON = 16;
 /* Rays for trees are traced once more in rounds of so many photons, so that Ctrl-C is heard. */
 static const uint64_t TREE_ROUND = 200000;
-/* Seconds of a processor that growing a tree takes for each ray, about; and the most that trees take of a bake by time. */
-static const double TREE_SECONDS = 3.2e-7, MOST_FOR_TREES = 0.5;
+/* Seconds of a processor, about, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; and
+ * the most that trees take of a bake by time. */
+static const double TREE_SECONDS = 3.2e-7, LOOK_TREE_SECONDS = 4.5e-7, LOOK_SECONDS = 1.2e-6, MOST_FOR_TREES = 0.5;
+/* Variance of a look over that of a photon, beyond which looks aren't worth their time: with 18 the opal globe's trees are a little worse. */
+static const double MOST_LOOK_NOISE = 1;
 /* Receiver that the noise is told on. */
 static const uint32_t NOISE_PIXELS = 32;
 
@@ -266,6 +269,15 @@ static lmg_result measure_bias(bake *b, const lmg_field *field, lmg_error *err)
     return result == LMG_OK ? bake_bias_measure(field, rays, count, &b->report->bias, err) : result;
 }
 
+/* Looks that trees of so many photons are grown of, at most. */
+static uint64_t looks_for_trees(const bake *b, double photons)
+{
+    const bake_options *o = b->options;
+    if (!bake_tracer_can_look(b->tracer, NULL))
+        return 0;
+    return o->looks_chosen ? o->looks : (uint64_t)fmin(photons, BAKE_MOST_LOOKS);
+}
+
 /* Has the rays of the bake's first photons kept for trees while they are traced; where others trace some of them, or have, they are traced
  * once more in the end. */
 static lmg_result keep_rays_for_trees(bake *b, lmg_error *err)
@@ -291,6 +303,37 @@ static lmg_result trace_rays_for_trees(bake *b, lmg_error *err)
     return result;
 }
 
+/* Refines the trees by what is seen inside the lamp. */
+static lmg_result look_into(const bake *b, lmg_field *field, uint64_t count, lmg_error *err)
+{
+    lmg_looks *looks;
+    lmg_result result = lmg_looks_create(field, (size_t)count, b->options->seed, &looks, err);
+    if (result != LMG_OK)
+        return result;
+    result = bake_look_run(b->tracer, looks, b->report->flux_lm, b->options->threads, b->options->stop, err);
+    if (result == LMG_OK && !stopped(b))
+        result = lmg_field_refine_trees(field, looks, err);
+    lmg_looks_destroy(looks);
+    return result;
+}
+
+/* Grows them of the rays of the first photons and, where a look knows as much as a photon, of looks. */
+static lmg_result grow_of(bake *b, lmg_field *field, const lmg_ray *rays, size_t count, lmg_error *err)
+{
+    const bake_options *o = b->options;
+    uint64_t looks = looks_for_trees(b, (double)b->part->tally.photons);
+    lmg_result result = LMG_OK;
+    if (looks > 0)
+        result = bake_look_noise(b->tracer, rays, count, &b->report->look_noise, err);
+    if (!o->looks_chosen && b->report->look_noise > MOST_LOOK_NOISE)
+        looks = 0;
+    while (looks > 0 && count > 0 && rays[count - 1].number >= o->first + BAKE_LOOKED_PHOTONS)
+        count--;
+    if (result == LMG_OK)
+        result = lmg_field_grow_trees(field, rays, count, o->trees, err);
+    return result == LMG_OK && looks > 0 ? look_into(b, field, looks, err) : result;
+}
+
 /* Grows the trees, the same whoever has traced the photons.  What hinders that is told, and the box does without: a bake isn't lost for it. */
 static void grow_trees(bake *b, lmg_field *field)
 {
@@ -310,11 +353,15 @@ static void grow_trees(bake *b, lmg_field *field)
     if (result == LMG_OK) {
         size_t count;
         const lmg_ray *rays = bake_ray_list_sorted(b->kept, &count);
-        result = lmg_field_grow_trees(field, rays, count, o->trees, &why);
+        result = grow_of(b, field, rays, count, &why);
     }
+    if (result == LMG_OK && stopped(b))
+        result = lmg_fail(&why, LMG_ERROR_UNSUPPORTED, "interrupted; go on with --resume");
     r->trees_seconds = bake_clock() - began;
-    if (result != LMG_OK)
-        snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", why.message);
+    if (result == LMG_OK)
+        return;
+    lmg_field_grow_trees(field, NULL, 0, 0, NULL);
+    snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", why.message);
 }
 
 /* Numbers of the photons to trace: first .. end-1. */
@@ -688,9 +735,13 @@ static lmg_result gather(bake *b, lmg_gathering **out, lmg_error *err)
 static double trees_share(const bake *b, double seconds)
 {
     const bake_options *o = b->options;
-    const double rate = (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6), rays = fmin(rate * seconds, BAKE_TREE_PHOTONS);
-    const double at_once = fmin(bake_thread_count(o->threads), o->trees);
-    return o->trees == 0 ? 0 : fmin(ceil(o->trees / at_once) * rays * TREE_SECONDS / seconds, MOST_FOR_TREES);
+    if (o->trees == 0)
+        return 0;
+    const double rate = (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6);
+    const double rays = fmin(rate * seconds, BAKE_TREE_PHOTONS), looks = (double)looks_for_trees(b, rate * seconds);
+    const double threads = bake_thread_count(o->threads), turns = ceil(o->trees / fmin(threads, o->trees));
+    return fmin((turns * (rays * TREE_SECONDS + looks * LOOK_TREE_SECONDS) + looks * (1 / rate + LOOK_SECONDS / threads)) / seconds,
+                MOST_FOR_TREES);
 }
 
 static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
@@ -700,6 +751,10 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     const double seconds = o->seconds > 0 ? o->seconds : DEFAULT_SECONDS;
     const double began = bake_clock();
     lmg_result result = plan_effects(b, seconds, err);
+    const char *obstacle;
+    if (result == LMG_OK && o->trees > 0 && o->looks_chosen && o->looks > 0 && !bake_tracer_can_look(b->tracer, &obstacle))
+        result = lmg_fail(err, LMG_ERROR_UNSUPPORTED,
+                          "%s: rays can't be traced backwards through a lamp with %s; leave --looks out", b->model->path, obstacle);
     if (result == LMG_OK)
         result = bake_part_create(&b->part, err);
     if (result == LMG_OK)

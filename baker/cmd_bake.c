@@ -38,6 +38,7 @@ enum {
     KEY_EFFECTS_ERROR,
     KEY_GATHER,
     KEY_TREES,
+    KEY_LOOKS,
     KEY_RESUME,
     KEY_CHECKPOINT,
     KEY_KEEP,
@@ -50,6 +51,8 @@ enum {
 /* A file may be larger than asked for by so much; beyond that its cells are rounded more coarsely, by at most so much of their
  * noise. */
 static const double SIZE_SLACK = 1.03, MOST_ROUNDING = 0.4;
+/* Trees of more would be larger than a file may hold. */
+static const uint64_t MOST_LOOKS = 50000000;
 
 static const struct argp_option OPTIONS[] = {
     {"output", 'o', "BOX", 0, "the file to write, NAME.box.exr", 1},
@@ -70,6 +73,7 @@ static const struct argp_option OPTIONS[] = {
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving them out may change (default 0.1%)", 4},
     {"gather", KEY_GATHER, "R|auto", 0, "R rays traced backwards per photon (default none)", 4},
     {"trees", KEY_TREES, "N", 0, "2 to 16 radiance trees, for the lamp as it is looked at; they add to --size (default none)", 4},
+    {"looks", KEY_LOOKS, "N", 0, "rays traced backwards to sharpen trees, 0 = photons only (default: as many as photons, up to 8M)", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
     {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},
@@ -149,6 +153,8 @@ static void settle_photons(struct argp_state *state, command *c)
         usage_error(
             state,
             "--gather: a bake in parts is merged without its lamp, of photons only; leave out --gather, or --share and --first");
+    if (o->looks_chosen && o->trees == 0)
+        usage_error(state, "--looks: they sharpen radiance trees; ask for these, such as --trees 8");
     if (c->target.error > 0 && o->trees > 0)
         usage_error(state, "--trees: --error judges cells; bake once more with --trees and the --photons that it finds");
     if ((c->shares || c->given_first) && o->trees > 0)
@@ -222,6 +228,10 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         break;
     case KEY_TREES:
         c->bake.trees = (uint32_t)argument_count(state, "--trees", arg, 2, LMG_MOST_TREES);
+        break;
+    case KEY_LOOKS:
+        c->bake.looks_chosen = true;
+        c->bake.looks = argument_count(state, "--looks", arg, 0, MOST_LOOKS);
         break;
     case KEY_SEED:
         c->bake.seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);
@@ -356,6 +366,8 @@ static char *settings_text(const command *c)
         json_object_set_new(o, "error", json_real(c->target.error));
     if (c->bake.trees > 0)
         json_object_set_new(o, "trees", json_integer(c->bake.trees));
+    if (c->bake.looks_chosen)
+        json_object_set_new(o, "looks", json_integer((json_int_t)c->bake.looks));
     if (c->bake.effects_error > 0)
         json_object_set_new(o, "effects_error", json_real(c->bake.effects_error));
     if (c->bake.flux_lm > 0)
@@ -440,6 +452,8 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                                   r->trace_seconds, "gather", r->gather_seconds, "reconstruct", r->reconstruct_seconds, "trees",
                                   r->trees_seconds, "total", seconds));
     json_object_set_new(o, "trees", json_trees(field));
+    if (r->look_noise > 0)
+        json_object_set_new(o, "look_noise", json_number(r->look_noise));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "bytes_foretold", r->size_foretold > 0 ? json_number(r->size_foretold) : json_null());
     json_object_set_new(o, "rounding",
@@ -505,9 +519,12 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
         line += length + (line[length] == '\n');
     }
     const lmg_tree_totals trees = lmg_field_trees(field);
-    if (trees.trees > 0)
-        printf("  trees     %u with %.3g M leaves in all, of %.3g M rays, in %.1f s\n", trees.trees, 1e-6 * (double)trees.leaves,
-               1e-6 * (double)trees.rays, r->trees_seconds);
+    if (trees.trees > 0) {
+        printf("  trees     %u with %.3g M leaves in all, of %.3g M rays and %.3g M looks, in %.1f s\n", trees.trees,
+               1e-6 * (double)trees.leaves, 1e-6 * (double)trees.rays, 1e-6 * (double)trees.looks, r->trees_seconds);
+        if (trees.looks == 0 && r->look_noise > 0)
+            printf("            no looks: what an eye sees in this lamp has %.2g times a photon's variance\n", r->look_noise);
+    }
     printf("  file      %.2f MB", 1e-6 * (double)bytes);
     if (r->size_foretold > 0)
         printf(" (foretold%s: %.2f)", trees.trees > 0 ? " without trees" : "", 1e-6 * r->size_foretold);

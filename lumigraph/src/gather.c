@@ -14,6 +14,7 @@
 
 #include "accumulate.h"
 #include "etendue.h"
+#include "random.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -41,18 +42,6 @@ struct lmg_gathering {
     gathered *gathered;
 };
 
-static uint64_t mix(uint64_t z)
-{
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-    return z ^ (z >> 31);
-}
-
-static double next_number(uint64_t *state)
-{
-    return (double)(mix(*state += 0x9e3779b97f4a7c15u) >> 11) * 0x1p-53;
-}
-
 /* Units of luminance that fell into half h of a cell. */
 static double units_of(const lmg_accumulator *acc, uint64_t cell, uint32_t h)
 {
@@ -75,7 +64,7 @@ static uint32_t rays_for(double units, double rays_per_unit, uint64_t key)
     if (pairs >= MAX_RAYS / 2)
         return MAX_RAYS;
     double whole = floor(pairs);
-    return 2 * (uint32_t)(whole + (next_number(&state) < pairs - whole));
+    return 2 * (uint32_t)(whole + (lmg_next_number(&state) < pairs - whole));
 }
 
 lmg_result lmg_gathering_create(const lmg_accumulator *acc, double rays_per_unit, uint64_t seed, lmg_gathering **out,
@@ -96,7 +85,7 @@ lmg_result lmg_gathering_create(const lmg_accumulator *acc, double rays_per_unit
         for (uint64_t cell = 0; cell < cells; cell++) {
             uint32_t rays[2];
             for (uint32_t h = 0; h < 2; h++)
-                rays[h] = rays_for(units_of(acc, cell, 1 - h), rays_per_unit, mix(2 * cell + h));
+                rays[h] = rays_for(units_of(acc, cell, 1 - h), rays_per_unit, lmg_mix(2 * cell + h));
             if (rays[0] + rays[1] == 0)
                 continue;
             if (pass) {
@@ -156,11 +145,11 @@ static bool draw(const lmg_plan *plan, uint32_t j, const lmg_cell_box *c, uint64
         double uvst[4], own[4], k0, k1;
         lmg_vec3 x, d;
         for (int k = 0; k < 4; k++)
-            uvst[k] = low[k] + (high[k] - low[k]) * next_number(state);
+            uvst[k] = low[k] + (high[k] - low[k]) * lmg_next_number(state);
         lmg_slab_ray(slab, uvst, &x, &d);
         if (cube) {
             double z = v_dot(d, slab->n), f = z * z * (1 + nearest);
-            if (next_number(state) >= f * f)
+            if (lmg_next_number(state) >= f * f)
                 continue;
         }
         if (lmg_plan_owner(plan, x, d, own) != (int)j ||
@@ -200,8 +189,8 @@ uint32_t lmg_gathering_draw(const lmg_gathering *g, size_t i, lmg_ray rays[2 * L
     const uint32_t j = place_of(g, i, &box);
     const uint32_t count = g->gathered[i].half[0].count + g->gathered[i].half[1].count;
     for (uint32_t k = 0; k < count; k++) {
-        uint64_t state = mix(mix(g->seed ^ 0x5851f42d4c957f2du) + g->cell[i] * (2 * MAX_RAYS) + k);
-        rays[k] = (lmg_ray){.flux = {1, 1, 1}, .number = mix(state) | (uint64_t)1 << 63};
+        uint64_t state = lmg_mix(lmg_mix(g->seed ^ 0x5851f42d4c957f2du) + g->cell[i] * (2 * MAX_RAYS) + k);
+        rays[k] = (lmg_ray){.flux = {1, 1, 1}, .number = lmg_mix(state) | (uint64_t)1 << 63};
         if (!draw(&g->acc->plan, j, &box, &state, &rays[k]))
             return 0;
     }

@@ -4,6 +4,7 @@
  * ray, on seen.c for the tables behind sampling from a point.
  */
 #include "memory.h"
+#include "random.h"
 #include "sampler.h"
 
 #include <stdlib.h>
@@ -150,15 +151,6 @@ void lmg_field_make_constant(lmg_field *field)
 
 /* ------------------------------------------------------------------------------------------------------------ emission */
 
-/* Numbers for the tries of a rejection, keyed by the caller's own random numbers (SplitMix64). */
-static double next_number(uint64_t *state)
-{
-    uint64_t z = *state += 0x9e3779b97f4a7c15u;
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-    return (double)((z ^ (z >> 31)) >> 11) * 0x1p-53;
-}
-
 /*
  * Turns a place, uniform in a cell of sides 1, into one distributed as the cell's slopes say.  In a pair of dimensions whose etendue is
  * uniform, 1 + g.x at x and at -x add up to 2: the place is kept or reflected at the middle, and none is lost.  (s,t) of cube slabs: false
@@ -175,7 +167,7 @@ static bool tilt(const lmg_slopes *slopes, const int8_t g[4], uint32_t st, doubl
             m0 = (double)slopes->centroid[st][0];
             m1 = (double)slopes->centroid[st][1];
         }
-        double shape = 1 + g0 * (2 * within[k] - 1 - m0) + g1 * (2 * within[k + 1] - 1 - m1), r = next_number(state);
+        double shape = 1 + g0 * (2 * within[k] - 1 - m0) + g1 * (2 * within[k + 1] - 1 - m1), r = lmg_next_number(state);
         if (moved && r * (1 - g0 * m0 - g1 * m1 + fabs(g0) + fabs(g1)) >= shape)
             return false;
         if (!moved && 2 * r >= shape)
@@ -214,7 +206,7 @@ static void draw_in_cell(const lmg_field *field, uint32_t j, uint64_t cell, cons
     for (int tries = 0; tries < 4096; tries++) {
         double uvst[4], own[4], within[4];
         for (int k = 0; k < 4; k++)
-            within[k] = tries ? next_number(&state) : xi[k];
+            within[k] = tries ? lmg_next_number(&state) : xi[k];
         if (!tilt(slopes, lmg_cell_slopes(&field->slabs[j], cell), (uint32_t)(cell % ((uint64_t)slab->ns * slab->nt)), within,
                   &state))
             continue;
@@ -223,7 +215,7 @@ static void draw_in_cell(const lmg_field *field, uint32_t j, uint64_t cell, cons
         lmg_slab_ray(slab, uvst, &x, &d);
         if (slab->kind == LMG_SLAB_CUBE) {
             double z = v_dot(d, slab->n), f = z * z * (1 + nearest);
-            if (fabs(v_dot(d, slab->a)) > z || fabs(v_dot(d, slab->b)) > z || next_number(&state) >= f * f)
+            if (fabs(v_dot(d, slab->a)) > z || fabs(v_dot(d, slab->b)) > z || lmg_next_number(&state) >= f * f)
                 continue;
         }
         double k0, k1;

@@ -5,6 +5,7 @@
 #include "etendue.h"
 #include "field.h"
 #include "geometry.h"
+#include "random.h"
 #include "work.h"
 
 #include <math.h>
@@ -59,29 +60,102 @@ double lmg_tree_etendue(const lmg_slab *slab, const lmg_tree_box *box)
     return lmg_box_etendue(slab, &c);
 }
 
-/* Sets the leaves from *node on that are in a box; *node: the next after them. */
-static void fill(lmg_tree *tree, uint32_t root, const lmg_slab *slab, const lmg_tree_box *box, uint32_t *node)
+/* Those of the leaves from *node on that are in a box; *node: the next after them. */
+static void etendues_in(const lmg_tree *tree, const lmg_slab *slab, const lmg_tree_box *box, uint32_t *node, double *etendue)
 {
-    lmg_tree_node *n = &tree->nodes[(*node)++];
+    const uint32_t me = (*node)++;
+    const lmg_tree_node *n = &tree->nodes[me];
     if (n->axis == LMG_LEAF) {
-        n->radiance = n->code > 0 ? (float)(tree->unit[root] * lmg_tree_count(n->code) / lmg_tree_etendue(slab, box)) : 0;
-        tree->leaves++;
+        etendue[me] = lmg_tree_etendue(slab, box);
+        return;
+    }
+    if (n->axis == LMG_EDGE) {
+        int normal[4];
+        lmg_edge_normal(n->code, normal);
+        const double whole = lmg_tree_etendue(slab, box), first = whole * lmg_edge_share(normal, n->cut);
+        etendue[(*node)++] = first;
+        etendue[(*node)++] = whole - first;
         return;
     }
     lmg_tree_box half = *box;
     const double cut = lmg_tree_cut(box, n->axis, n->cut);
     half.hi[n->axis] = cut;
-    fill(tree, root, slab, &half, node);
+    etendues_in(tree, slab, &half, node, etendue);
     half = *box;
     half.lo[n->axis] = cut;
-    fill(tree, root, slab, &half, node);
+    etendues_in(tree, slab, &half, node, etendue);
 }
 
-void lmg_tree_fill(lmg_tree *tree, uint32_t root, const lmg_slab *slab)
+void lmg_tree_etendues(const lmg_tree *tree, uint32_t root, const lmg_slab *slab, double *etendue)
 {
     const lmg_tree_box whole = lmg_tree_whole();
     uint32_t node = tree->first[root];
-    fill(tree, root, slab, &whole, &node);
+    etendues_in(tree, slab, &whole, &node, etendue);
+}
+
+void lmg_tree_fill(lmg_tree *tree, uint32_t root, uint32_t end)
+{
+    for (uint32_t i = tree->first[root]; i < end; i++)
+        if (tree->nodes[i].axis == LMG_LEAF) {
+            tree->nodes[i].radiance = (float)(tree->unit[root] * lmg_leaf_part(tree->nodes[i].code));
+            tree->leaves++;
+        }
+}
+
+void lmg_tree_set_leaves(lmg_tree *tree, uint32_t root, uint32_t end, const double *luminance, const float *variance,
+                         const double *etendue, double light)
+{
+    double most = 0, parts = 0;
+    for (uint32_t i = tree->first[root]; i < end; i++)
+        if (tree->nodes[i].axis == LMG_LEAF)
+            most = fmax(most, luminance[i]);
+    for (uint32_t i = tree->first[root]; i < end; i++)
+        if (tree->nodes[i].axis == LMG_LEAF) {
+            tree->nodes[i].code = most > 0 ? lmg_leaf_code(luminance[i] / most, (double)variance[i]) : 0;
+            parts += lmg_leaf_part(tree->nodes[i].code) * etendue[i];
+        }
+    tree->unit[root] = parts > 0 ? light / parts : 0;
+    lmg_tree_fill(tree, root, end);
+}
+
+bool lmg_edge_below(const lmg_tree_node *edge, const lmg_tree_box *box, const float at[4])
+{
+    int normal[4];
+    lmg_edge_normal(edge->code, normal);
+    double y = 0, range = 0;
+    for (int k = 0; k < 4; k++) {
+        const double x = ((double)at[k] - box->lo[k]) / (box->hi[k] - box->lo[k]);
+        y += normal[k] >= 0 ? normal[k] * x : -normal[k] * (1 - x);
+        range += abs(normal[k]);
+    }
+    return y < range * (edge->cut + 1) / LMG_EDGE_CUTS;
+}
+
+/* The distribution of a sum of independent numbers, each uniform from 0 to a component. */
+double lmg_edge_share(const int normal[4], unsigned cut)
+{
+    int part[4], count = 0;
+    double range = 0, divisor = 1, sum = 0;
+    for (int k = 0; k < 4; k++)
+        if (normal[k] != 0) {
+            part[count++] = abs(normal[k]);
+            range += abs(normal[k]);
+            divisor *= abs(normal[k]) * count;
+        }
+    const double at = range * (cut + 1) / LMG_EDGE_CUTS;
+    for (int corner = 0; corner < 1 << count; corner++) {
+        double beyond = at, sign = 1;
+        for (int k = 0; k < count; k++)
+            if (corner >> k & 1) {
+                beyond -= part[k];
+                sign = -sign;
+            }
+        double power = beyond > 0 ? sign : 0;
+        for (int k = 0; k < count; k++)
+            power *= beyond;
+        sum += power;
+    }
+    return fmin(fmax(sum / divisor, 0), 1);
 }
 
 /* -------------------------------------------------------------------------------------------------------------- asking */
@@ -113,14 +187,13 @@ int lmg_trees_root(const lmg_trees *trees, const lmg_layout *layout, lmg_vec3 or
     return -1;
 }
 
-/* The leaf around a place and, unless box is NULL, its box. */
-static const lmg_tree_node *leaf_at(const lmg_tree *tree, uint32_t root, const float at[4], lmg_tree_box *box)
+const lmg_tree_node *lmg_tree_leaf(const lmg_tree *tree, uint32_t root, const float at[4], lmg_tree_box *box)
 {
     lmg_tree_box own = lmg_tree_whole();
     lmg_tree_box *b = box ? box : &own;
     *b = own;
     const lmg_tree_node *node = &tree->nodes[tree->first[root]];
-    while (node->axis != LMG_LEAF) {
+    while (node->axis < LMG_LEAF) {
         const double cut = lmg_tree_cut(b, node->axis, node->cut);
         if ((double)at[node->axis] < cut) {
             b->hi[node->axis] = cut;
@@ -130,6 +203,8 @@ static const lmg_tree_node *leaf_at(const lmg_tree *tree, uint32_t root, const f
             node = &tree->nodes[node->second];
         }
     }
+    if (node->axis == LMG_EDGE)
+        node += lmg_edge_below(node, b, at) ? 1 : 2;
     return node;
 }
 
@@ -152,34 +227,30 @@ double lmg_trees_luminance(const lmg_trees *trees, int root, const float at[4], 
     double sum = 0;
     if (!variance) {
         for (uint32_t k = 0; k < n; k++)
-            sum += (double)leaf_at(&trees->trees[k], (uint32_t)root, at, NULL)->radiance;
+            sum += (double)lmg_tree_leaf(&trees->trees[k], (uint32_t)root, at, NULL)->radiance;
         return sum / n;
     }
     /*
-     * A count adds unit / G to each leaf that it is in.  Of two trees' leaves the counts in common are those of the mean radiance
-     * in the boxes' intersection; etendue goes as volume near the place.
+     * What is random in a leaf is the rays in it, each adding as much wherever in the leaf it is; two trees have those in common that
+     * are in the intersection of their leaves' boxes.  Etendue goes as volume near the place.
      *
-     * Where leaves end is chance as well, since forks stand by what the counts happened to be: trees differ in it, and their mean
+     * Where leaves end is chance as well, since forks stand by what the rays happened to be: trees differ in it, and their mean
      * by a part in tree_count of that variance.
      */
     lmg_tree_box box[LMG_MOST_TREES];
-    double size[LMG_MOST_TREES], per_volume = 0, squares = 0;
+    double deviation[LMG_MOST_TREES], squares = 0;
     for (uint32_t k = 0; k < n; k++) {
-        const lmg_tree_node *leaf = leaf_at(&trees->trees[k], (uint32_t)root, at, &box[k]);
+        const lmg_tree_node *leaf = lmg_tree_leaf(&trees->trees[k], (uint32_t)root, at, &box[k]);
         const double l = (double)leaf->radiance;
-        size[k] = volume(&box[k]);
+        deviation[k] = l * sqrt(lmg_leaf_variance(leaf->code) / volume(&box[k]));
         sum += l;
         squares += l * l;
-        if (l > 0)
-            per_volume = lmg_tree_count(leaf->code) * trees->trees[k].unit[root] / (l * size[k]);
     }
     sum /= n;
-    double common = 0;
+    *variance = 0;
     for (uint32_t k = 0; k < n; k++)
         for (uint32_t m = 0; m < n; m++)
-            common += common_volume(&box[k], &box[m]) / (size[k] * size[m]);
-    *variance =
-        per_volume > 0 ? trees->roots[root].spread * trees->trees[0].unit[root] * sum * common / ((double)n * n * per_volume) : 0;
+            *variance += deviation[k] * deviation[m] * common_volume(&box[k], &box[m]) / ((double)n * n);
     if (n > 1)
         *variance += fmax(squares / n - sum * sum, 0) / (n - 1);
     return sum;
@@ -201,25 +272,7 @@ typedef struct growing {
     size_t first[LMG_MAX_SLABS + 1];
 } growing;
 
-/* One tree while it grows. */
-typedef struct sapling {
-    const lmg_slab *slab;
-    lmg_tree *tree;
-    double *flux; /* of each node, units */
-    size_t room;
-    bool failed; /* no memory, or too many nodes */
-} sapling;
-
-/* SplitMix64. */
-static uint64_t mix(uint64_t z)
-{
-    z += 0x9e3779b97f4a7c15u;
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-    return z ^ (z >> 31);
-}
-
-static uint32_t add_node(sapling *s, double flux)
+uint32_t lmg_sapling_add(lmg_sapling *s, double luminance, double variance)
 {
     lmg_tree *tree = s->tree;
     if (tree->count == s->room) {
@@ -227,18 +280,46 @@ static uint32_t add_node(sapling *s, double flux)
         lmg_tree_node *nodes = room <= UINT32_MAX ? realloc(tree->nodes, room * sizeof *nodes) : NULL;
         if (nodes)
             tree->nodes = nodes;
-        double *fluxes = nodes ? realloc(s->flux, room * sizeof *fluxes) : NULL;
-        if (fluxes)
-            s->flux = fluxes;
-        if (!nodes || !fluxes) {
+        double *luminances = nodes ? realloc(s->luminance, room * sizeof *luminances) : NULL;
+        if (luminances)
+            s->luminance = luminances;
+        float *variances = luminances ? realloc(s->variance, room * sizeof *variances) : NULL;
+        if (variances)
+            s->variance = variances;
+        if (!nodes || !luminances || !variances) {
             s->failed = true;
             return 0;
         }
         s->room = room;
     }
     tree->nodes[tree->count] = (lmg_tree_node){.axis = LMG_LEAF};
-    s->flux[tree->count] = flux;
+    s->luminance[tree->count] = luminance;
+    s->variance[tree->count] = (float)variance;
     return tree->count++;
+}
+
+void lmg_sapling_set_leaves(lmg_sapling *s, uint32_t root, double light)
+{
+    lmg_tree *tree = s->tree;
+    double *etendue = malloc(tree->count * sizeof *etendue);
+    s->failed = s->failed || !etendue;
+    if (!s->failed) {
+        lmg_tree_etendues(tree, root, s->slab, etendue);
+        lmg_tree_set_leaves(tree, root, tree->count, s->luminance, s->variance, etendue, light);
+    }
+    free(etendue);
+}
+
+lmg_result lmg_sapling_end(lmg_sapling *s, lmg_error *err)
+{
+    lmg_tree *tree = s->tree;
+    free(s->luminance);
+    free(s->variance);
+    if (s->failed)
+        return lmg_fail(err, LMG_ERROR_MEMORY, "trees: no memory to grow one");
+    lmg_tree_node *nodes = realloc(tree->nodes, tree->count * sizeof *nodes);
+    tree->nodes = nodes ? nodes : tree->nodes;
+    return LMG_OK;
 }
 
 typedef struct sums {
@@ -275,14 +356,14 @@ LMG_WIDE static void sums_below(const point *p, size_t count, size_t step, const
 
 /* The fork of a piece: the axis whose cut, by chance somewhere in the middle half, brings the most; -1: none can be made.  *below:
  * etendue of the half below the cut. */
-static int choose_axis(const sapling *s, const point *p, size_t count, const lmg_tree_box *box, double etendue, uint64_t key,
+static int choose_axis(const lmg_sapling *s, const point *p, size_t count, const lmg_tree_box *box, double etendue, uint64_t key,
                        uint8_t *chosen, double *below)
 {
     uint8_t cuts[4];
     sums low[4], all;
     double at[4];
     for (int k = 0; k < 4; k++) {
-        cuts[k] = (uint8_t)(mix(key + (uint64_t)k) % LMG_TREE_CUTS);
+        cuts[k] = (uint8_t)(lmg_next_key(key + (uint64_t)k) % LMG_TREE_CUTS);
         at[k] = lmg_tree_cut(box, k, cuts[k]);
     }
     sums_below(p, count, count > LOOKED_AT ? count / LOOKED_AT : 1, at, low, &all);
@@ -330,11 +411,11 @@ static size_t part(point *p, size_t count, int axis, double cut, sums *low)
 
 /* Grows a piece, whose rays have these sums: cut as far as there are rays, then taken back where leaves don't stand against the
  * piece in one. Returns its score. */
-static double grow_piece(sapling *s, point *p, size_t count, const sums *all, const lmg_tree_box *box, double etendue, uint64_t key,
+static double grow_piece(lmg_sapling *s, point *p, size_t count, const sums *all, const lmg_tree_box *box, double etendue, uint64_t key,
                          unsigned depth)
 {
     const double own = score(all, etendue, PENALTY);
-    const uint32_t me = add_node(s, all->flux);
+    const uint32_t me = lmg_sapling_add(s, all->flux > 0 ? all->flux / etendue : 0, all->flux > 0 ? all->squares / (all->flux * all->flux) : 0);
     uint8_t cut;
     double part_of;
     if (s->failed || count < FEWEST || depth + 1 >= LMG_TREE_DEPTH)
@@ -349,9 +430,9 @@ static double grow_piece(sapling *s, point *p, size_t count, const sums *all, co
     of[1] = (sums){fmax(all->flux - of[0].flux, 0), fmax(all->squares - of[0].squares, 0)};
     if (below == count) /* nothing is left, not even by rounding */
         of[1] = (sums){0};
-    double kept = grow_piece(s, p, below, &of[0], &half[0], part_of, mix(key ^ 1), depth + 1);
+    double kept = grow_piece(s, p, below, &of[0], &half[0], part_of, lmg_next_key(key ^ 1), depth + 1);
     const uint32_t second = s->tree->count;
-    kept += grow_piece(s, p + below, count - below, &of[1], &half[1], etendue - part_of, mix(key ^ 2), depth + 1);
+    kept += grow_piece(s, p + below, count - below, &of[1], &half[1], etendue - part_of, lmg_next_key(key ^ 2), depth + 1);
     if (s->failed)
         return own;
     if (own >= kept) {
@@ -364,24 +445,12 @@ static double grow_piece(sapling *s, point *p, size_t count, const sums *all, co
     return kept;
 }
 
-/* Rounds the leaves of a root to counts of rays of mean flux, whose unit makes their sum the root's light again. */
-static void count_leaves(sapling *s, uint32_t root, double mean, double lumens)
-{
-    double counts = 0;
-    for (uint32_t i = s->tree->first[root]; i < s->tree->count; i++)
-        if (s->tree->nodes[i].axis == LMG_LEAF) {
-            s->tree->nodes[i].code = mean > 0 ? lmg_tree_code(s->flux[i] / mean) : 0;
-            counts += lmg_tree_count(s->tree->nodes[i].code);
-        }
-    s->tree->unit[root] = counts > 0 ? lumens / counts : 0;
-}
-
 static lmg_result grow_tree(void *self, uint64_t k, void *scratch, lmg_error *err)
 {
     (void)scratch;
     const growing *g = self;
     const lmg_trees *trees = g->trees;
-    sapling s = {.tree = &g->trees->trees[k]};
+    lmg_sapling s = {.tree = &g->trees->trees[k]};
     const size_t count = g->first[trees->root_count];
     point *points = malloc((count > 0 ? count : 1) * sizeof *points);
     s.failed = !points;
@@ -389,7 +458,6 @@ static lmg_result grow_tree(void *self, uint64_t k, void *scratch, lmg_error *er
         memcpy(points, g->points, count * sizeof *points);
     for (uint32_t j = 0; j < trees->root_count && !s.failed; j++) {
         const lmg_tree_box whole = lmg_tree_whole();
-        const size_t n = g->first[j + 1] - g->first[j];
         s.slab = &g->layout->slabs[trees->roots[j].slab];
         s.tree->first[j] = s.tree->count;
         sums all = {0};
@@ -397,20 +465,13 @@ static lmg_result grow_tree(void *self, uint64_t k, void *scratch, lmg_error *er
             all.flux += (double)points[i].flux;
             all.squares += (double)points[i].flux * (double)points[i].flux;
         }
-        grow_piece(&s, points + g->first[j], n, &all, &whole, lmg_tree_etendue(s.slab, &whole), mix(mix(k) ^ j), 0);
-        if (s.failed)
-            break;
-        const double flux = s.flux[s.tree->first[j]];
-        count_leaves(&s, j, n > 0 ? flux / (double)n : 0, g->lumens_per_unit * flux);
-        lmg_tree_fill(s.tree, j, s.slab);
+        grow_piece(&s, points + g->first[j], g->first[j + 1] - g->first[j], &all, &whole, lmg_tree_etendue(s.slab, &whole),
+                   lmg_next_key(lmg_next_key(k) ^ j), 0);
+        if (!s.failed)
+            lmg_sapling_set_leaves(&s, j, g->lumens_per_unit * all.flux);
     }
     free(points);
-    free(s.flux);
-    if (s.failed)
-        return lmg_fail(err, LMG_ERROR_MEMORY, "trees: no memory to grow one of %zu rays", count);
-    lmg_tree_node *nodes = realloc(s.tree->nodes, s.tree->count * sizeof *nodes);
-    s.tree->nodes = nodes ? nodes : s.tree->nodes;
-    return LMG_OK;
+    return lmg_sapling_end(&s, err);
 }
 
 /* The slabs that get trees: of those on one side of the lamp the last, which holds the others' rays as well.  The six that
@@ -431,13 +492,13 @@ static uint32_t find_roots(const lmg_layout *layout, lmg_tree_root roots[LMG_MAX
     return count;
 }
 
-/* Sorts the rays into the roots; sums up the roots' colours and spreads.  *flux: of all rays, in roots or not. */
+/* Sorts the rays into the roots; sums up the roots' colours.  *flux: of all rays, in roots or not. */
 static bool place_rays(growing *g, const lmg_ray *rays, size_t count, point **points, double *flux)
 {
     lmg_trees *trees = g->trees;
     point *all = malloc((count > 0 ? count : 1) * sizeof *all), *sorted = malloc((count > 0 ? count : 1) * sizeof *sorted);
     int8_t *root = malloc(count > 0 ? count : 1);
-    double sum[LMG_MAX_SLABS] = {0}, squares[LMG_MAX_SLABS] = {0}, colour[LMG_MAX_SLABS][3] = {{0}};
+    double sum[LMG_MAX_SLABS] = {0}, colour[LMG_MAX_SLABS][3] = {{0}};
     size_t held[LMG_MAX_SLABS] = {0};
     *flux = 0;
     *points = sorted;
@@ -454,7 +515,6 @@ static bool place_rays(growing *g, const lmg_ray *rays, size_t count, point **po
         root[i] = (int8_t)j;
         held[j]++;
         sum[j] += y;
-        squares[j] += y * y;
         for (int c = 0; c < 3; c++)
             colour[j][c] += (double)rays[i].flux[c];
     }
@@ -462,7 +522,6 @@ static bool place_rays(growing *g, const lmg_ray *rays, size_t count, point **po
     for (uint32_t j = 0; j < trees->root_count; j++) {
         lmg_tree_root *r = &trees->roots[j];
         g->first[j + 1] = g->first[j] + held[j];
-        r->spread = sum[j] > 0 ? fmax(squares[j] * (double)held[j] / (sum[j] * sum[j]), 1) : 1;
         for (int c = 0; c < 3; c++)
             r->colour[c] = g->layout->channels == 1 ? g->layout->colour[c] : sum[j] > 0 ? (float)(colour[j][c] / sum[j]) : 1;
     }
@@ -475,6 +534,14 @@ static bool place_rays(growing *g, const lmg_ray *rays, size_t count, point **po
     free(all);
     free(root);
     return done;
+}
+
+lmg_result lmg_trees_check_size(const lmg_trees *trees, lmg_error *err)
+{
+    if (lmg_trees_size(trees) <= LMG_TREE_BYTES)
+        return LMG_OK;
+    return lmg_fail(err, LMG_ERROR_UNSUPPORTED, "trees: larger than a file may hold (%d MB); fewer rays or fewer trees would help",
+                    LMG_TREE_BYTES / 1000000);
 }
 
 lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t trees, lmg_error *err)
@@ -511,9 +578,8 @@ lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, size_t co
         r = lmg_work_do(&work, err);
     }
     free(points);
-    if (r == LMG_OK && lmg_trees_size(made) > LMG_TREE_BYTES)
-        r = lmg_fail(err, LMG_ERROR_UNSUPPORTED, "trees: larger than a file may hold (%d MB); fewer rays or fewer trees would help",
-                     LMG_TREE_BYTES / 1000000);
+    if (r == LMG_OK)
+        r = lmg_trees_check_size(made, err);
     lmg_trees_destroy(r == LMG_OK ? field->trees : made);
     if (r == LMG_OK)
         field->trees = made;
@@ -527,6 +593,7 @@ lmg_tree_totals lmg_field_trees(const lmg_field *field)
         return t;
     t.trees = field->trees->tree_count;
     t.rays = field->trees->rays;
+    t.looks = field->trees->looks;
     for (uint32_t k = 0; k < t.trees; k++)
         t.leaves += field->trees->trees[k].leaves;
     t.memory = lmg_trees_memory(field->trees);

@@ -8,6 +8,10 @@
  * where light is strong or sharp, large where it is even or dark.  A single tree is a staircase; the mean of several, whose cuts
  * lie elsewhere by chance [geurts2006], is finer than each and has less noise, since every ray counts in all of them.
  *
+ * Photons tell where light is, and that to the size of a leaf: what has edges needs some ten of them on this side of each.  An eye
+ * that looks into the lamp sees both sides, mostly without noise.  Where the baker can say what it sees, rays spread over the leaves
+ * divide them further (trees_look.c), and a leaf may have an *edge*, a hyperplane across its box with another radiance on each side.
+ *
  * Roots are the wide slabs of the layout whose (s,t) is a direction; windows over beams are parts of them, and the coarse slabs
  * that catch the rest have no trees.
  */
@@ -19,7 +23,6 @@
 typedef struct lmg_tree_root {
     uint32_t slab;   /* of the layout, whose rectangle it is */
     float colour[3]; /* R,G,B of its rays together, at luminance 1 */
-    double spread;   /* mean square over squared mean of the rays' fluxes: the variance of a count, in counts; at least 1 */
 } lmg_tree_root;
 
 /* In preorder: the first child of a fork follows it. */
@@ -28,25 +31,25 @@ typedef struct lmg_tree_node {
         uint32_t second; /* fork: its other child, index in the tree */
         float radiance;  /* leaf: cd/m2 */
     };
-    uint8_t axis;  /* 0 to 3: fork across u, v, s, t; LMG_LEAF */
-    uint8_t cut;   /* fork: place of the cut, see lmg_tree_cut */
-    uint16_t code; /* leaf: of its count, see lmg_tree_count */
+    uint8_t axis;  /* 0 to 3: fork across u, v, s, t; LMG_LEAF; LMG_EDGE: fork across a hyperplane, both children are leaves */
+    uint8_t cut;   /* fork: place of the cut, see lmg_tree_cut, lmg_edge_below */
+    uint16_t code; /* leaf: see lmg_leaf_code; edge: its normal, see lmg_edge_normal */
 } lmg_tree_node;
 
-/* LMG_TREE_BYTES: what trees take of a file at most, so that the cost of reading them is bounded.  8 trees of 4 M rays take 0.9 MB (spot). */
-enum { LMG_LEAF = 4, LMG_TREE_CUTS = 32, LMG_TREE_DEPTH = 64, LMG_TREE_BYTES = 1 << 25 };
+/* LMG_TREE_BYTES: what trees take of a file at most, so that the cost of reading them is bounded.  8 trees of 8 M looks take 3 MB (spot). */
+enum { LMG_LEAF = 4, LMG_EDGE = 5, LMG_TREE_CUTS = 32, LMG_TREE_DEPTH = 64, LMG_TREE_BYTES = 1 << 25 };
 
 typedef struct lmg_tree {
     lmg_tree_node *nodes;
     uint32_t count, leaves;
     uint32_t first[LMG_MAX_SLABS]; /* node of each root */
-    double unit[LMG_MAX_SLABS]; /* of each root, lumens of a count: the sum over leaves is the root's light, whatever rounding did
-                                   to counts */
+    double unit[LMG_MAX_SLABS];    /* of each root, cd/m2, what its leaves' codes are parts of: set so that the leaves' sum is the
+                                      root's light, whatever rounding did to them */
 } lmg_tree;
 
 typedef struct lmg_trees {
     uint32_t tree_count, root_count;
-    uint64_t rays; /* that they were grown of */
+    uint64_t rays, looks; /* that they were grown of */
     lmg_tree_root roots[LMG_MAX_SLABS];
     lmg_tree trees[LMG_MOST_TREES];
 } lmg_trees;
@@ -67,20 +70,86 @@ static inline double lmg_tree_cut(const lmg_tree_box *box, int axis, uint8_t cut
     return box->lo[axis] + (box->hi[axis] - box->lo[axis]) * (0.25 + (cut + 0.5) * (0.5 / LMG_TREE_CUTS));
 }
 
-/* Counts are stored to the unit below LMG_EXACT_COUNTS and to 0.14 % above, which noise hides by far. */
-enum { LMG_EXACT_COUNTS = 96, LMG_MOST_CODE = LMG_EXACT_COUNTS + 8191 };
-double lmg_tree_count(uint16_t code);
-uint16_t lmg_tree_code(double count);
+/*
+ * An edge is where y = sum of |n_k| x_k (n_k >= 0) or |n_k| (1 - x_k) is (cut + 1) / LMG_EDGE_CUTS of its range, x_k from 0 to 1
+ * across the box: so that every normal, -7 to 7 in each component, has its first side around a corner of the box.
+ */
+enum { LMG_EDGE_CUTS = 32, LMG_EDGE_MOST = 7 };
+
+static inline void lmg_edge_normal(uint16_t code, int normal[4])
+{
+    for (int k = 0; k < 4; k++)
+        normal[k] = (code >> (4 * k) & 15) - LMG_EDGE_MOST;
+}
+
+static inline uint16_t lmg_edge_code(const int normal[4])
+{
+    unsigned code = 0;
+    for (int k = 0; k < 4; k++)
+        code |= (unsigned)(normal[k] + LMG_EDGE_MOST) << (4 * k);
+    return (uint16_t)code;
+}
+
+/* Whether a place in the box is on the first child's side. */
+bool lmg_edge_below(const lmg_tree_node *edge, const lmg_tree_box *box, const float at[4]);
+
+/* Share of the box on the first child's side. */
+double lmg_edge_share(const int normal[4], unsigned cut);
+
+/*
+ * A leaf's code: its luminance, 64 steps an octave below the unit (so that rounding, 0.3 % RMS, is far below noise), times 16, plus
+ * its precision, -log2 of a quarter of its relative variance.  0: dark.
+ */
+enum { LMG_LEAF_BRIGHTEST = 2047, LMG_LEAF_DARKEST = 32 };
+uint16_t lmg_leaf_code(double part_of_unit, double relative_variance);
+double lmg_leaf_part(uint16_t code);     /* of the unit */
+double lmg_leaf_variance(uint16_t code); /* relative */
 
 /* Etendue of a piece, m2 sr. */
 double lmg_tree_etendue(const lmg_slab *slab, const lmg_tree_box *box);
 
-/* Sets the radiance of a root's leaves by their counts. */
-void lmg_tree_fill(lmg_tree *tree, uint32_t root, const lmg_slab *slab);
+/* Etendues of a root's leaves, by node of the tree; forks' stay as they are. */
+void lmg_tree_etendues(const lmg_tree *tree, uint32_t root, const lmg_slab *slab, double *etendue);
+
+/* Nodes of a root: first .. end - 1. */
+static inline uint32_t lmg_tree_end(const lmg_trees *trees, const lmg_tree *tree, uint32_t root)
+{
+    return root + 1 < trees->root_count ? tree->first[root + 1] : tree->count;
+}
+
+/* Sets the codes of a root's leaves, nodes first .. end - 1, to these luminances, in any unit, and relative variances, and the unit so that
+ * together they have so much light, lm. */
+void lmg_tree_set_leaves(lmg_tree *tree, uint32_t root, uint32_t end, const double *luminance, const float *variance,
+                         const double *etendue, double light);
+
+/* Sets the radiance of a root's leaves by their codes. */
+void lmg_tree_fill(lmg_tree *tree, uint32_t root, uint32_t end);
+
+/* One tree while it grows. */
+typedef struct lmg_sapling {
+    const lmg_slab *slab; /* of the root at hand */
+    lmg_tree *tree;
+    double *luminance; /* of each node, as a leaf; in any unit */
+    float *variance;   /* relative */
+    size_t room;
+    bool failed; /* no memory, or too many nodes */
+} lmg_sapling;
+
+/* Adds a leaf; its node, 0 on failure. */
+uint32_t lmg_sapling_add(lmg_sapling *s, double luminance, double variance);
+
+/* Sets the leaves of the root at hand, the last one so far, to the light that it has, lm. */
+void lmg_sapling_set_leaves(lmg_sapling *s, uint32_t root, double light);
+
+/* Frees what only growing needs; LMG_ERROR_MEMORY if it has failed. */
+lmg_result lmg_sapling_end(lmg_sapling *s, lmg_error *err);
 
 void lmg_trees_destroy(lmg_trees *trees); /* accepts NULL */
 size_t lmg_trees_memory(const lmg_trees *trees);
 void lmg_trees_scale(lmg_trees *trees, double factor);
+
+/* The leaf around a place of a root and, unless box is NULL, its box; an edge's box for its leaves. */
+const lmg_tree_node *lmg_tree_leaf(const lmg_tree *tree, uint32_t root, const float at[4], lmg_tree_box *box);
 
 /* The root that a ray is in, and where it is in its rectangle, from 0 to below 1; -1: in none. */
 int lmg_trees_root(const lmg_trees *trees, const lmg_layout *layout, lmg_vec3 origin, lmg_vec3 direction, float at[4]);
@@ -88,8 +157,9 @@ int lmg_trees_root(const lmg_trees *trees, const lmg_layout *layout, lmg_vec3 or
 /* Luminance there, cd/m2; variance, may be NULL: of it. */
 double lmg_trees_luminance(const lmg_trees *trees, int root, const float at[4], double *variance);
 
-/* The bytes that trees take, at most. */
+/* The bytes that trees take; LMG_ERROR_UNSUPPORTED if a file may not hold so many. */
 size_t lmg_trees_size(const lmg_trees *trees);
+lmg_result lmg_trees_check_size(const lmg_trees *trees, lmg_error *err);
 
 /* As bytes (docs/format.md, radiance trees), owned by the caller; NULL: no memory. */
 unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Radiance trees as bytes: docs/format.md, radiance trees.  A fork is a byte, a leaf one or two; what is derived, etendue and so
- * radiance, isn't stored.  Bytes of files are untrusted: nothing is believed but what fits.
+ * Radiance trees as bytes: docs/format.md, radiance trees.  A fork is a byte, an edge four, a leaf two, a dark one a byte.  Bytes of
+ * files are untrusted: nothing is believed but what fits.
  */
 #include "field.h"
 #include "trees.h"
@@ -10,27 +10,36 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { VERSION = 1, HEAD = 16, PER_ROOT = 4 + 12 + 8, HASH = 8 };
+enum { VERSION = 2, HEAD = 24, PER_ROOT = 4 + 12, HASH = 8 };
+/* First bytes: of a dark leaf, of an edge; up to LEAST_FORK of a leaf with light. */
+enum { DARK = 0, EDGE = 1, LEAST_FORK = 0x80 };
 
 /* lmg_hash's. */
 static const uint64_t HASH_START = 0xcbf29ce484222325u;
-/* Light and spread of a root beyond what any lamp has: sums and products of them stay finite. */
-static const double MOST_UNIT = 1e30, MOST_SPREAD = 1e12;
+/* Luminance beyond what any lamp has: sums and products of it stay finite. */
+static const double MOST_UNIT = 1e30;
 
-/* Codes above the exact counts go by this many to an octave. */
-static const double PER_OCTAVE = 256;
+static const double PER_OCTAVE = 64;
 
-double lmg_tree_count(uint16_t code)
+double lmg_leaf_part(uint16_t code)
 {
-    return code < LMG_EXACT_COUNTS ? code : LMG_EXACT_COUNTS * exp2((code - LMG_EXACT_COUNTS) / PER_OCTAVE);
+    return code > 0 ? exp2(((code >> 4) - LMG_LEAF_BRIGHTEST) / PER_OCTAVE) : 0;
 }
 
-uint16_t lmg_tree_code(double count)
+double lmg_leaf_variance(uint16_t code)
 {
-    if (!(count < LMG_EXACT_COUNTS - 0.5))
-        return (uint16_t)(LMG_EXACT_COUNTS +
-                          fmax(fmin(rint(PER_OCTAVE * log2(count / LMG_EXACT_COUNTS)), LMG_MOST_CODE - LMG_EXACT_COUNTS), 0));
-    return (uint16_t)fmax(rint(count), count > 0); /* no light becomes darkness */
+    return code > 0 ? exp2(2 - (code & 15)) : 0;
+}
+
+uint16_t lmg_leaf_code(double part_of_unit, double relative_variance)
+{
+    if (!(part_of_unit > 0))
+        return 0;
+    const double part = LMG_LEAF_BRIGHTEST + rint(PER_OCTAVE * log2(part_of_unit));
+    if (part < LMG_LEAF_DARKEST)
+        return 0;
+    const double precision = relative_variance > 0 ? rint(2 - log2(relative_variance)) : 15;
+    return (uint16_t)((unsigned)fmin(part, LMG_LEAF_BRIGHTEST) << 4 | (unsigned)fmin(fmax(precision, 0), 15));
 }
 
 /* ------------------------------------------------------------------------------------------------------------- writing */
@@ -59,12 +68,20 @@ static void put_float(writer *b, float x)
     put(b, bits, 4);
 }
 
+static size_t size_of(const lmg_tree_node *n)
+{
+    return n->axis == LMG_EDGE ? 4 : n->axis == LMG_LEAF && n->code > 0 ? 2 : 1;
+}
+
 size_t lmg_trees_size(const lmg_trees *trees)
 {
-    size_t most = HEAD + (size_t)trees->root_count * PER_ROOT + HASH;
-    for (uint32_t k = 0; k < trees->tree_count; k++)
-        most += (size_t)trees->root_count * 8 + (size_t)2 * trees->trees[k].count;
-    return most;
+    size_t sum = HEAD + (size_t)trees->root_count * PER_ROOT + HASH;
+    for (uint32_t k = 0; k < trees->tree_count; k++) {
+        sum += (size_t)trees->root_count * 8;
+        for (uint32_t i = 0; i < trees->trees[k].count; i++)
+            sum += size_of(&trees->trees[k].nodes[i]);
+    }
+    return sum;
 }
 
 unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
@@ -77,11 +94,11 @@ unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
     put(&b, trees->tree_count, 2);
     put(&b, trees->root_count, 2);
     put(&b, trees->rays, 8);
+    put(&b, trees->looks, 8);
     for (uint32_t j = 0; j < trees->root_count; j++) {
         put(&b, trees->roots[j].slab, 4);
         for (int c = 0; c < 3; c++)
             put_float(&b, trees->roots[j].colour[c]);
-        put_double(&b, trees->roots[j].spread);
     }
     for (uint32_t k = 0; k < trees->tree_count; k++) {
         const lmg_tree *tree = &trees->trees[k];
@@ -89,14 +106,18 @@ unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
             put_double(&b, tree->unit[j]);
         for (uint32_t i = 0; i < tree->count; i++) {
             const lmg_tree_node *n = &tree->nodes[i];
-            if (n->axis != LMG_LEAF)
-                put(&b, 0x80u | (unsigned)n->axis << 5 | n->cut, 1);
-            else if (n->code < LMG_EXACT_COUNTS)
-                put(&b, n->code, 1);
-            else
-                put(&b,
-                    (LMG_EXACT_COUNTS + ((n->code - LMG_EXACT_COUNTS) >> 8)) | (uint64_t)((n->code - LMG_EXACT_COUNTS) & 255) << 8,
-                    2);
+            if (n->axis == LMG_LEAF && n->code == 0) {
+                put(&b, DARK, 1);
+            } else if (n->axis == LMG_LEAF) {
+                put(&b, n->code >> 8, 1);
+                put(&b, n->code & 255, 1);
+            } else if (n->axis == LMG_EDGE) {
+                put(&b, EDGE, 1);
+                put(&b, n->code, 2);
+                put(&b, n->cut, 1);
+            } else {
+                put(&b, LEAST_FORK | (unsigned)n->axis << 5 | n->cut, 1);
+            }
         }
     }
     put(&b, lmg_hash(HASH_START, start, (size_t)(b.at - start)), 8);
@@ -140,28 +161,52 @@ static float get_float(reader *r)
     return x;
 }
 
+/* A leaf that begins with this byte. */
+static bool get_leaf(reader *r, lmg_tree *tree, unsigned byte)
+{
+    lmg_tree_node *n = &tree->nodes[tree->count++];
+    *n = (lmg_tree_node){.axis = LMG_LEAF};
+    if (byte != DARK)
+        n->code = (uint16_t)(byte << 8 | get(r, 1));
+    return !r->failed && byte != EDGE && byte < LEAST_FORK;
+}
+
+static bool get_edge(reader *r, lmg_tree *tree)
+{
+    lmg_tree_node *n = &tree->nodes[tree->count++];
+    *n = (lmg_tree_node){.axis = LMG_EDGE, .second = tree->count + 1};
+    n->code = (uint16_t)get(r, 2);
+    n->cut = (uint8_t)get(r, 1);
+    int normal[4];
+    lmg_edge_normal(n->code, normal);
+    bool good = normal[0] != 0 || normal[1] != 0 || normal[2] != 0 || normal[3] != 0;
+    for (int k = 0; k < 4; k++)
+        good = good && normal[k] <= LMG_EDGE_MOST;
+    good = good && n->cut < LMG_EDGE_CUTS - 1 && !r->failed;
+    for (int k = 0; k < 2; k++)
+        good = good && get_leaf(r, tree, (unsigned)get(r, 1));
+    return good;
+}
+
 /* The nodes of one root, in preorder; false when they aren't a tree. */
 static bool get_nodes(reader *r, lmg_tree *tree, unsigned depth)
 {
     const unsigned byte = (unsigned)get(r, 1);
     if (r->failed || depth >= LMG_TREE_DEPTH)
         return false;
-    lmg_tree_node *n = &tree->nodes[tree->count];
+    if (byte == EDGE)
+        return get_edge(r, tree);
+    if (byte < LEAST_FORK)
+        return get_leaf(r, tree, byte);
     const uint32_t me = tree->count++;
-    *n = (lmg_tree_node){.axis = LMG_LEAF};
-    if (byte < 0x80) {
-        n->code = (uint16_t)(byte < LMG_EXACT_COUNTS ? byte : LMG_EXACT_COUNTS + ((byte - LMG_EXACT_COUNTS) << 8) + get(r, 1));
-        return !r->failed;
-    }
-    n->axis = (uint8_t)(byte >> 5 & 3);
-    n->cut = (uint8_t)(byte & 31);
+    tree->nodes[me] = (lmg_tree_node){.axis = (uint8_t)(byte >> 5 & 3), .cut = (uint8_t)(byte & 31)};
     if (!get_nodes(r, tree, depth + 1))
         return false;
     tree->nodes[me].second = tree->count;
     return get_nodes(r, tree, depth + 1);
 }
 
-static bool get_tree(reader *r, const lmg_layout *layout, const lmg_trees *trees, lmg_tree *tree)
+static bool get_tree(reader *r, const lmg_trees *trees, lmg_tree *tree)
 {
     for (uint32_t j = 0; j < trees->root_count; j++) {
         tree->unit[j] = get_double(r);
@@ -172,11 +217,8 @@ static bool get_tree(reader *r, const lmg_layout *layout, const lmg_trees *trees
         tree->first[j] = tree->count;
         if (!get_nodes(r, tree, 0))
             return false;
-        lmg_tree_fill(tree, j, &layout->slabs[trees->roots[j].slab]);
+        lmg_tree_fill(tree, j, tree->count);
     }
-    for (uint32_t i = 0; i < tree->count; i++)
-        if (tree->nodes[i].axis == LMG_LEAF && !isfinite(tree->nodes[i].radiance))
-            return false;
     return true;
 }
 
@@ -190,8 +232,6 @@ static bool get_roots(reader *r, const lmg_layout *layout, lmg_trees *trees)
             root->colour[c] = get_float(r);
             good = good && isfinite(root->colour[c]);
         }
-        root->spread = get_double(r);
-        good = good && root->spread >= 1 && root->spread <= MOST_SPREAD;
         if (!good || r->failed || (layout->slabs[root->slab].kind == LMG_SLAB_CUBE && !isinf(layout->slabs[root->slab].distance)))
             return false;
     }
@@ -222,6 +262,7 @@ lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_l
     trees->tree_count = (uint32_t)get(&r, 2);
     trees->root_count = (uint32_t)get(&r, 2);
     trees->rays = get(&r, 8);
+    trees->looks = get(&r, 8);
     const bool possible = trees->tree_count >= 1 && trees->tree_count <= LMG_MOST_TREES && trees->root_count >= 1 &&
                           trees->root_count <= LMG_MAX_SLABS;
     if (!possible)
@@ -232,7 +273,7 @@ lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_l
         /* a node takes a byte at least */
         tree->nodes = malloc((size_t)(r.end - r.at + 1) * sizeof *tree->nodes);
         memory = tree->nodes != NULL;
-        good = memory && get_tree(&r, layout, trees, tree);
+        good = memory && get_tree(&r, trees, tree);
         lmg_tree_node *nodes = good ? realloc(tree->nodes, tree->count * sizeof *nodes) : NULL;
         tree->nodes = nodes ? nodes : tree->nodes;
     }

@@ -19,8 +19,9 @@
  * photons.  What of squares is below its standard error isn't told from nothing: two such errors count as alike.
  *
  * Usage: test_bench_reconstruction [LAMP|all [photons [cells, 0 = as many as the photons are worth [judging photons [sizes of
- * tables [rays [trees]]]]]]]; a line of JSON for each lamp.  rays: traced backwards for each photon that leaves, beside the box's photons (0; -1: as
- * the pilot says).  trees: radiance trees of the box (0), which radiance and pictures are then those of.
+ * tables [rays [trees [looks]]]]]]]]; a line of JSON for each lamp.  rays: traced backwards for each photon that leaves, beside the box's photons (0; -1: as
+ * the pilot says).  trees: radiance trees of the box (0), which radiance and pictures are then those of.  looks: for
+ * these (as many as photons, where an eye can look into the lamp).
  */
 #include "bake.h"
 #include "sampler.h"
@@ -450,11 +451,12 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
         for (uint32_t k = 0; k < trees->tree_count; k++) {
             const lmg_tree *tree = &trees->trees[k];
             const lmg_slab *slab = &field->layout.slabs[trees->roots[r].slab];
-            const uint32_t end = r + 1 < trees->root_count ? tree->first[r + 1] : tree->count;
-            double *upto = reserve(end - tree->first[r], sizeof *upto), sum = 0;
+            const uint32_t end = lmg_tree_end(trees, tree, r);
+            double *upto = reserve(end - tree->first[r], sizeof *upto), *etendue = reserve(tree->count, sizeof *etendue), sum = 0;
+            lmg_tree_etendues(tree, r, slab, etendue);
             for (uint32_t i = tree->first[r]; i < end; i++)
-                upto[i - tree->first[r]] = sum += tree->nodes[i].axis == LMG_LEAF ? lmg_tree_count(tree->nodes[i].code) : 0;
-            const double light = sum * tree->unit[r] / trees->tree_count;
+                upto[i - tree->first[r]] = sum += tree->nodes[i].axis == LMG_LEAF ? (double)tree->nodes[i].radiance * etendue[i] : 0;
+            const double light = sum / trees->tree_count;
             const uint64_t samples = 1 + count / trees->root_count / trees->tree_count;
             double mean = 0, square = 0;
             for (uint64_t n = 0; n < samples && sum > 0; n++) {
@@ -466,7 +468,9 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
                 }
                 /* the leaf's box, by going down to it */
                 lmg_tree_box b = lmg_tree_whole();
-                for (uint32_t at = tree->first[r], leaf = tree->first[r] + lo; tree->nodes[at].axis != LMG_LEAF;) {
+                const uint32_t leaf = tree->first[r] + lo;
+                uint32_t at = tree->first[r];
+                while (tree->nodes[at].axis < LMG_LEAF) {
                     const lmg_tree_node *fork = &tree->nodes[at];
                     const double cut = lmg_tree_cut(&b, fork->axis, fork->cut);
                     const bool second = leaf >= fork->second;
@@ -481,8 +485,11 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
                 piece.nu = piece.nv = piece.ns = piece.nt = 1;
                 static const uint32_t only[4] = {0, 0, 0, 0};
                 lmg_vec3 o, d;
-                float rgb[3];
-                ray_in_cell(&piece, only, &rng, &o, &d);
+                float rgb[3], where[4];
+                do
+                    ray_in_cell(&piece, only, &rng, &o, &d);
+                while (tree->nodes[at].axis == LMG_EDGE && lmg_trees_root(trees, &field->layout, o, d, where) == (int)r &&
+                       lmg_edge_below(&tree->nodes[at], &b, where) != (leaf == at + 1));
                 const double far = 4 * v_length(v_sub(field->layout.bounds_max, field->layout.bounds_min));
                 lmg_field_radiance(field, v_fma(o, far, d), d, LMG_LINEAR, rgb, NULL);
                 mean += lmg_luminance(rgb);
@@ -493,6 +500,7 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
             self += light * mean;
             squares += light * light * fmax(square / (double)samples - mean * mean, 0) / (double)samples;
             free(upto);
+            free(etendue);
         }
     *se = sqrt(squares);
     return self;
@@ -565,7 +573,7 @@ static double resolution(const images *reference, int k, double energy, double s
 }
 
 static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_t judging, size_t sizes, double backward,
-                     uint32_t trees)
+                     uint32_t trees, double looks)
 {
     static const double SPLIT[] = {1.0 / 16, 1.0 / 4, 1, 4, 16, 64}, SIZE[] = {1.0 / 16, 1.0 / 4, 1, 4};
     lmg_error err;
@@ -574,6 +582,8 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     bake_options options = {.photons = photons,
                             .rays_per_photon = backward,
                             .trees = trees,
+                            .looks_chosen = looks >= 0,
+                            .looks = (uint64_t)fmax(looks, 0),
                             .seed = SEED,
                             .fit = {.struct_size = sizeof options.fit, .cells = cells}};
     bake_report report;
@@ -738,6 +748,6 @@ int main(int argc, char **argv)
     for (size_t i = 0; i < sizeof LAMPS / sizeof *LAMPS; i++)
         if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i]) == 0)
             run_lamp(LAMPS[i], photons, cells, judging, argc > 5 ? (size_t)atoi(argv[5]) : 4, backward,
-                     argc > 7 ? (uint32_t)atoi(argv[7]) : 0);
+                     argc > 7 ? (uint32_t)atoi(argv[7]) : 0, argc > 8 ? atof(argv[8]) : -1);
     return 0;
 }

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Radiance trees: they keep the light, are sharper than cells, know their noise, come back from files as they were, and survive
- * damaged bytes.  Seeds are fixed, so that a run is a fact.  The lamp is a formula: a Lambertian disc whose light ends sharply at
+ * Radiance trees: they keep the light, are sharper than cells and sharper still by looks, know their noise, come back from files as
+ * they were, and survive damaged bytes.  Seeds are fixed, so that a run is a fact.  The lamp is a formula: a Lambertian disc whose light ends sharply at
  * 20 degrees, so that radiance is one number within edges in all four dimensions and 0 beyond them.
  */
 #include "box_fixture.h"
@@ -122,6 +122,46 @@ static void grow(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t t
     assert_int_equal(lmg_field_trees(field).trees, trees);
 }
 
+/* What an eye sees: the disc; or with the variance of so many photons, nothing or more than there is. */
+static float seen(const lmg_ray *ray, double noise)
+{
+    lamp_rng g = lamp_stream(77, ray->number);
+    return in_light(ray) && lamp_next(&g) < 1 / (1 + noise) ? (float)(disc_radiance() * (1 + noise)) : 0;
+}
+
+/* Looks, drawn in pieces of so many, and trees refined by them. */
+static void refine(lmg_field *field, size_t count, size_t piece, uint64_t seed, double noise)
+{
+    lmg_error err = {{0}};
+    lmg_looks *looks;
+    if (lmg_looks_create(field, count, seed, &looks, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    assert_int_equal(lmg_looks_count(looks), count);
+    lmg_ray *rays = malloc(piece * sizeof *rays);
+    float(*radiance)[3] = malloc(piece * sizeof *radiance);
+    assert_true(rays && radiance);
+    for (size_t first = 0; first < count; first += piece) {
+        const size_t n = count - first < piece ? count - first : piece;
+        lmg_looks_draw(looks, first, n, rays);
+        for (size_t i = 0; i < n; i++) {
+            assert_true(rays[i].origin.z >= 0 && rays[i].direction.z >= 0);
+            /* back to the disc */
+            const double k = -rays[i].origin.z / rays[i].direction.z;
+            const lmg_vec3 o = rays[i].origin, d = rays[i].direction;
+            rays[i].origin = (lmg_vec3){o.x + k * d.x, o.y + k * d.y, 0};
+            for (int c = 0; c < 3; c++)
+                radiance[i][c] = rays[i].direction.z > 0 ? seen(&rays[i], noise) : 0;
+        }
+        lmg_looks_put(looks, first, n, (const float(*)[3])radiance);
+    }
+    if (lmg_field_refine_trees(field, looks, &err) != LMG_OK)
+        fail_msg("%s", err.message);
+    assert_int_equal(lmg_field_trees(field).looks, count);
+    lmg_looks_destroy(looks);
+    free(radiance);
+    free(rays);
+}
+
 /* One slab made by hand, few cells. */
 static lmg_field *small_field(uint64_t seed, size_t count, uint32_t trees)
 {
@@ -154,6 +194,16 @@ static double light_of(const lmg_tree *tree, const lmg_slab *slab, const lmg_tre
     if (n->axis == LMG_LEAF) {
         assert_true(isfinite(n->radiance) && n->radiance >= 0);
         return (double)n->radiance * etendue;
+    }
+    if (n->axis == LMG_EDGE) {
+        int normal[4];
+        lmg_edge_normal(n->code, normal);
+        assert_int_equal(lmg_edge_code(normal), n->code);
+        const double share = lmg_edge_share(normal, n->cut);
+        assert_true(share > 0 && share < 1 && n[1].axis == LMG_LEAF && n[2].axis == LMG_LEAF);
+        assert_int_equal(n->second, *node + 1);
+        *node += 2;
+        return etendue * (share * (double)n[1].radiance + (1 - share) * (double)n[2].radiance);
     }
     lmg_tree_box half = *box;
     half.hi[n->axis] = lmg_tree_cut(box, n->axis, n->cut);
@@ -308,7 +358,6 @@ static void test_standard_errors(void **state)
             const lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 1);
             lmg_field *field = field_of(&layout, rays, RAYS);
             grow(field, rays, RAYS, 4);
-            assert_near(field->trees->roots[0].spread, unequal ? 1.64 : 1, 0.02 * unequal);
             for (uint64_t i = 0; i < ASKED; i++) {
                 lamp_rng g = lamp_stream(98, i);
                 const lmg_ray r = disc_ray(&g, 0.5);
@@ -330,6 +379,109 @@ static void test_standard_errors(void **state)
         print_message("%s fluxes: mean %.4f, spread over standard error %.3f\n", unequal ? "unequal" : "equal", mean, sqrt(ratio));
         assert_near(mean, 1, 0.02);
         assert_true(sqrt(ratio) > 0.8 && sqrt(ratio) < 1.25);
+    }
+}
+
+/* An eye that sees the disc: edges, and errors far below those of photons; one that sees it with much noise does no harm.  The light
+ * stays. */
+static void test_looks(void **state)
+{
+    (void)state;
+    enum { RAYS = 100000 };
+    static const lmg_layout_choice CHOICES[] = {LMG_LAYOUT_APERTURE, LMG_LAYOUT_CUBE};
+    lmg_ray *rays = disc_rays(1, RAYS);
+    for (int c = 0; c < 2; c++) {
+        const lmg_layout layout = fitted(
+            rays, (lmg_fit_options){.choice = CHOICES[c], .cells = 10000, .photons = RAYS, .bounds_min = LOW, .bounds_max = HIGH});
+        lmg_field *field = field_of(&layout, rays, RAYS);
+        double inside, before;
+        grow(field, rays, RAYS, 8);
+        const double of_photons = disc_error(field, &before), light = light_of_root(field, 3, 0);
+        refine(field, 300000, 7001, 5, 0);
+        const double of_looks = disc_error(field, &inside);
+        uint32_t edges = 0;
+        for (uint32_t i = 0; i < field->trees->trees[0].count; i++)
+            edges += field->trees->trees[0].nodes[i].axis == LMG_EDGE;
+        print_message("%s: RMS error of radiance: photons %.3f, looks %.3f, %u edges in a tree; mean inside %.4f, %.4f\n",
+                      c == 0 ? "aperture" : "cube", of_photons, of_looks, edges, before, inside);
+        assert_true(of_looks < (c == 0 ? 0.5 : 0.65) * of_photons);
+        assert_near(inside, 1, 0.01);
+        assert_true(edges > 100);
+        assert_near(light_of_root(field, 3, 0), light, 2e-6 * light);
+
+        grow(field, rays, RAYS, 8);
+        refine(field, 100000, 100000, 5, 20);
+        const double of_noise = disc_error(field, &inside);
+        print_message("looks with the variance of 20 photons: %.3f, mean inside %.4f\n", of_noise, inside);
+        assert_true(of_noise < 1.15 * of_photons);
+        assert_near(inside, before, 0.03);
+        assert_near(light_of_root(field, 3, 0), light, 2e-6 * light);
+        lmg_field_destroy(field);
+    }
+    free(rays);
+}
+
+/* What looks tell spreads from seed to seed as it says, where all see the same and where an edge runs. */
+static void test_looks_errors(void **state)
+{
+    (void)state;
+    enum { SEEDS = 20, RAYS = 10000, LOOKS = 20000, ASKED = 200 };
+    const lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 1);
+    for (int border = 0; border < 2; border++) {
+        const double noise = border ? 0 : 0.5;
+        double sum[ASKED] = {0}, squares[ASKED] = {0}, variance = 0, spread = 0, mean = 0;
+        for (uint64_t seed = 0; seed < SEEDS; seed++) {
+            lmg_ray *rays = disc_rays(300 + seed, RAYS);
+            lmg_field *field = field_of(&layout, rays, RAYS);
+            grow(field, rays, RAYS, 4);
+            refine(field, LOOKS, LOOKS, 400 + seed, noise);
+            for (uint64_t i = 0; i < ASKED; i++) {
+                lamp_rng g = lamp_stream(91, i);
+                const lmg_ray r = disc_ray(&g, border ? 1.2 : 0.5);
+                double se;
+                const double x = linear(field, &r, &se) / disc_radiance();
+                sum[i] += x;
+                squares[i] += x * x;
+                variance += se * se / (disc_radiance() * disc_radiance()) / SEEDS / ASKED;
+            }
+            free(rays);
+            lmg_field_destroy(field);
+        }
+        for (int i = 0; i < ASKED; i++) {
+            mean += sum[i] / SEEDS / ASKED;
+            spread += (squares[i] - sum[i] * sum[i] / SEEDS) / (SEEDS - 1) / ASKED;
+        }
+        print_message("%s: mean %.4f, spread %.3f, standard error %.3f\n", border ? "all over" : "inside, noisy looks", mean,
+                      sqrt(spread), sqrt(variance));
+        assert_true(spread > 0.64 * variance && spread < 1.57 * variance);
+    }
+}
+
+/* Shares of a cube on one side of an edge, against counting; the inside of an edge's first side is around a corner. */
+static void test_edges(void **state)
+{
+    (void)state;
+    enum { POINTS = 20000 };
+    for (uint64_t trial = 0; trial < 200; trial++) {
+        lamp_rng g = lamp_stream(90, trial);
+        int normal[4] = {0}, some = 0;
+        for (int k = 0; k < 4; k++)
+            some += abs(normal[k] = trial % 7 == 0 && k > (int)(trial % 3) ? 0 : (int)(lamp_next(&g) * 15) - 7);
+        if (some == 0)
+            continue;
+        const unsigned cut = (unsigned)(lamp_next(&g) * (LMG_EDGE_CUTS - 1));
+        const lmg_tree_node edge = {.axis = LMG_EDGE, .cut = (uint8_t)cut, .code = lmg_edge_code(normal)};
+        const lmg_tree_box box = {{0.25, 0.5, 0.125, 0}, {0.5, 0.75, 0.25, 0.5}};
+        double below = 0;
+        for (int i = 0; i < POINTS; i++) {
+            float at[4];
+            for (int k = 0; k < 4; k++)
+                at[k] = (float)(box.lo[k] + (box.hi[k] - box.lo[k]) * lamp_next(&g));
+            below += lmg_edge_below(&edge, &box, at);
+        }
+        const double share = lmg_edge_share(normal, cut);
+        assert_near(below / POINTS, share, 4.5 * sqrt(share * (1 - share) / POINTS) + 1e-6);
+        assert_true(cut == 0 || share > lmg_edge_share(normal, cut - 1));
     }
 }
 
@@ -456,6 +608,21 @@ static void test_asked_for(void **state)
     assert_near(twice_se, 2.5 * se, 1e-6 * se);
     assert_near(light_of_root(field, 5, 0), 2.5 * light, 1e-6 * light);
 
+    lmg_looks *looks;
+    assert_int_equal(lmg_looks_create(NULL, 10, 1, &looks, &err), LMG_ERROR_ARGUMENT);
+    assert_int_equal(lmg_looks_create(plain, 10, 1, &looks, &err), LMG_ERROR_ARGUMENT);
+    assert_non_null(strstr(err.message, "trees"));
+    assert_int_equal(lmg_looks_create(field, 0, 1, &looks, NULL), LMG_ERROR_ARGUMENT);
+    lmg_looks_destroy(NULL);
+    assert_int_equal(lmg_looks_create(field, 10, 1, &looks, NULL), LMG_OK);
+    assert_int_equal(lmg_field_refine_trees(plain, looks, NULL), LMG_ERROR_ARGUMENT);
+    assert_int_equal(lmg_field_refine_trees(NULL, looks, NULL), LMG_ERROR_ARGUMENT);
+    assert_int_equal(lmg_field_refine_trees(field, NULL, NULL), LMG_ERROR_ARGUMENT);
+    lmg_looks_destroy(looks);
+    refine(field, 1, 1, 1, 0);
+    assert_near(light_of_root(field, 5, 0), 2.5 * light, 2e-6 * light);
+    assert_int_equal(lmg_looks_create(field, 10, 1, &looks, NULL), LMG_ERROR_ARGUMENT); /* refined already */
+
     grow(field, rays, RAYS, 0);
     assert_null(field->trees);
     assert_int_equal(lmg_field_scale(field, 0.4, NULL), LMG_OK);
@@ -482,6 +649,13 @@ static void test_same_again(void **state)
     (void)state;
     lmg_field *field = small_field(1, 10000, 8), *again = small_field(1, 10000, 8), *few = small_field(1, 10000, 3);
     same_bytes(field->trees, again->trees);
+    refine(field, 5000, 5000, 3, 0); /* looks at once or in pieces */
+    refine(again, 5000, 77, 3, 0);
+    same_bytes(field->trees, again->trees);
+    lmg_field_destroy(field);
+    lmg_field_destroy(again);
+    field = small_field(1, 10000, 8);
+    again = small_field(1, 10000, 8);
     for (uint32_t k = 0; k < 3; k++) {
         const lmg_tree *a = &field->trees->trees[k], *b = &few->trees->trees[k];
         assert_true(a->count == b->count && a->unit[0] == b->unit[0]);
@@ -521,7 +695,7 @@ static lmg_field *read_box(const char *path)
 static void check_same_trees(const lmg_field *a, const lmg_field *b)
 {
     const lmg_tree_totals t = lmg_field_trees(a), u = lmg_field_trees(b);
-    assert_true(t.trees == u.trees && t.leaves == u.leaves && t.rays == u.rays && t.memory == u.memory);
+    assert_true(t.trees == u.trees && t.leaves == u.leaves && t.rays == u.rays && t.looks == u.looks && t.memory == u.memory);
     same_bytes(a->trees, b->trees);
     for (uint64_t i = 0; i < 300; i++) {
         lamp_rng g = lamp_stream(94, i);
@@ -541,6 +715,7 @@ static void test_files(void **state)
     snprintf(first, sizeof first, "%s/a.box.exr", directory);
     snprintf(second, sizeof second, "%s/b.box.exr", directory);
     lmg_field *field = small_field(1, 20000, 8);
+    refine(field, 20000, 20000, 1, 0);
     for (int rounded = 0; rounded < 2; rounded++) {
         lmg_error err = {{0}};
         if ((rounded ? lmg_field_write_rounded(field, first, 0.1, NULL, &err) : lmg_field_write(field, first, &err)) != LMG_OK)
@@ -583,9 +758,8 @@ enum {
     AT_VERSION = 0,
     AT_TREES = 4,
     AT_ROOTS = 6,
-    AT_SLAB = 16,
-    AT_COLOUR = 20,
-    AT_SPREAD = 32,
+    AT_SLAB = 24,
+    AT_COLOUR = 28,
     AT_UNIT = 40,
     AT_NODES = 48,
     HASH = 8
@@ -631,10 +805,15 @@ static lmg_result decode(const unsigned char *bytes, size_t size, const lmg_layo
     return result;
 }
 
-/* A small forest, with a count above those that are stored exactly. */
+/* A small forest, with edges. */
 static unsigned char *small_forest(lmg_layout *layout, size_t *size)
 {
-    lmg_field *field = small_field(3, 1500, 2);
+    lmg_field *field = small_field(3, 800, 2);
+    refine(field, 300, 300, 1, 0);
+    uint32_t edges = 0;
+    for (uint32_t i = 0; i < field->trees->trees[1].count; i++)
+        edges += field->trees->trees[1].nodes[i].axis == LMG_EDGE;
+    assert_true(edges > 0);
     *layout = field->layout;
     unsigned char *bytes = lmg_trees_encode(field->trees, size);
     assert_non_null(bytes);
@@ -697,8 +876,8 @@ static size_t make_chain(unsigned char *bytes, size_t forks)
     bytes[AT_TREES] = 1;
     for (size_t i = 0; i < forks; i++)
         bytes[AT_NODES + i] = (unsigned char)(0x80 | (i % 4) << 5 | 16);
-    memset(bytes + AT_NODES + forks, 1, forks + 1);
-    const size_t size = AT_NODES + 2 * forks + 1 + HASH;
+    memset(bytes + AT_NODES + forks, 100, 2 * (forks + 1));
+    const size_t size = AT_NODES + 3 * forks + 2 + HASH;
     make_hash(bytes, size);
     return size;
 }
@@ -712,7 +891,7 @@ static void test_impossible_forests(void **state)
     bytes = realloc(bytes, size + 1);
     assert_non_null(bytes);
 #define WITH(place, value) decode_with(bytes, size, &layout, place, &(value), sizeof(value))
-    assert_int_equal(WITH(AT_VERSION, (uint32_t){2}), LMG_ERROR_FILE_VERSION);
+    assert_int_equal(WITH(AT_VERSION, (uint32_t){1}), LMG_ERROR_FILE_VERSION);
     static const uint16_t COUNTS[] = {0, 1, 3, LMG_MOST_TREES + 1, 65535};
     for (int i = 0; i < 5; i++) {
         assert_int_equal(WITH(AT_TREES, COUNTS[i]), LMG_ERROR_FILE_FORMAT);
@@ -724,11 +903,9 @@ static void test_impossible_forests(void **state)
     static const double NUMBERS[] = {-1, NAN, INFINITY, -INFINITY};
     for (int i = 0; i < 4; i++) {
         assert_int_equal(WITH(AT_UNIT, NUMBERS[i]), LMG_ERROR_FILE_FORMAT);
-        assert_int_equal(WITH(AT_SPREAD, NUMBERS[i]), LMG_ERROR_FILE_FORMAT);
         if (i > 0)
             assert_int_equal(WITH(AT_COLOUR, (float){(float)NUMBERS[i]}), LMG_ERROR_FILE_FORMAT);
     }
-    assert_int_equal(WITH(AT_SPREAD, (double){0.5}), LMG_ERROR_FILE_FORMAT);
     assert_int_equal(WITH(AT_UNIT, (double){1e300}), LMG_ERROR_FILE_FORMAT); /* radiance beyond any number */
     assert_int_equal(WITH(AT_UNIT, (double){0}), LMG_OK);
 #undef WITH
@@ -741,7 +918,7 @@ static void test_impossible_forests(void **state)
     assert_int_equal(decode(bytes, size + 1, &layout), LMG_ERROR_FILE_FORMAT);
 
     /* as deep as trees may be, deeper, and with leaves that are no wider than a number's last bit */
-    unsigned char chain[AT_NODES + 2 * 100000 + 1 + HASH];
+    unsigned char chain[AT_NODES + 3 * 100000 + 2 + HASH];
     memcpy(chain, bytes, AT_NODES);
     assert_int_equal(decode(chain, make_chain(chain, LMG_TREE_DEPTH - 1), &layout), LMG_OK);
     assert_int_equal(decode(chain, make_chain(chain, LMG_TREE_DEPTH), &layout), LMG_ERROR_FILE_FORMAT);
@@ -756,21 +933,54 @@ static void test_impossible_forests(void **state)
     free(bytes);
 }
 
-/* Counts by themselves: exact as long as they are small, then to 0.14 %, in order. */
-static void test_counts(void **state)
+/* An edge as the only node of a root, and what is none. */
+static void test_impossible_edges(void **state)
 {
     (void)state;
-    for (int code = 0; code <= LMG_MOST_CODE; code++) {
-        const double count = lmg_tree_count((uint16_t)code);
-        assert_int_equal(lmg_tree_code(count), code);
-        assert_true(code == 0 ? count == 0 : count > lmg_tree_count((uint16_t)(code - 1)));
-        if (code < LMG_EXACT_COUNTS)
-            assert_true(count == code);
+    lmg_layout layout;
+    size_t size;
+    unsigned char *bytes = small_forest(&layout, &size);
+    unsigned char one[AT_NODES + 32];
+    memcpy(one, bytes, AT_NODES);
+    free(bytes);
+    one[AT_TREES] = 1;
+    static const struct {
+        unsigned char nodes[12];
+        size_t count;
+        lmg_result result;
+    } CASES[] = {
+        {{1, 0x7e, 0x77, 15, 0, 100, 3}, 7, LMG_OK},
+        {{1, 0x7e, 0x77, 15, 100, 3, 100, 3}, 8, LMG_OK},
+        {{1, 0x77, 0x77, 15, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                /* no normal */
+        {{1, 0x7f, 0x77, 15, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                /* one beyond 7 */
+        {{1, 0x7e, 0x77, 31, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                /* nothing beyond it */
+        {{1, 0x7e, 0x77, 15, 0x80, 0, 100, 3, 0}, 9, LMG_ERROR_FILE_FORMAT},       /* a fork below */
+        {{1, 0x7e, 0x77, 15, 0, 1, 0x7e, 0x77, 15, 0, 0}, 11, LMG_ERROR_FILE_FORMAT}, /* an edge below */
+        {{1, 0x7e, 0x77, 15, 0, 100}, 6, LMG_ERROR_FILE_FORMAT},
+    };
+    for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
+        memcpy(one + AT_NODES, CASES[i].nodes, CASES[i].count);
+        make_hash(one, AT_NODES + CASES[i].count + HASH);
+        assert_int_equal(decode(one, AT_NODES + CASES[i].count + HASH, &layout), CASES[i].result);
     }
-    for (double x = LMG_EXACT_COUNTS; x < 1e11; x *= 1.00037)
-        assert_near(lmg_tree_count(lmg_tree_code(x)), x, 0.00136 * x);
-    assert_int_equal(lmg_tree_code(-1), 0);
-    assert_int_equal(lmg_tree_code(1e30), LMG_MOST_CODE);
+}
+
+/* Codes by themselves: luminance to half a step of 64 an octave, precision to half an octave, in order. */
+static void test_codes(void **state)
+{
+    (void)state;
+    assert_true(lmg_leaf_code(0, 1) == 0 && lmg_leaf_code(-1, 1) == 0 && lmg_leaf_code(NAN, 1) == 0 && lmg_leaf_code(1e-30, 1) == 0);
+    assert_true(lmg_leaf_part(0) == 0 && lmg_leaf_variance(0) == 0 && lmg_leaf_part(lmg_leaf_code(1, 1)) == 1);
+    for (unsigned code = LMG_LEAF_DARKEST << 4; code <= (LMG_LEAF_BRIGHTEST << 4 | 15); code++)
+        assert_int_equal(lmg_leaf_code(lmg_leaf_part((uint16_t)code), lmg_leaf_variance((uint16_t)code)), code);
+    for (double x = 1; x > 4e-10; x *= 0.9991)
+        assert_near(lmg_leaf_part(lmg_leaf_code(x, 0.1)), x, 0.0055 * x);
+    for (double v = 3.9; v > 1.3e-4; v *= 0.97) {
+        const double back = lmg_leaf_variance(lmg_leaf_code(0.5, v));
+        assert_true(back / v < 1.4143 && v / back < 1.4143);
+    }
+    assert_near(lmg_leaf_variance(lmg_leaf_code(0.5, 1e9)), 4, 1e-9);
+    assert_near(lmg_leaf_variance(lmg_leaf_code(0.5, 0)), 4 / 32768.0, 1e-9);
 }
 
 int main(void)
@@ -779,7 +989,8 @@ int main(void)
         cmocka_unit_test(test_light_is_kept),      cmocka_unit_test(test_light_beside), cmocka_unit_test(test_sharper_than_cells),
         cmocka_unit_test(test_standard_errors),    cmocka_unit_test(test_colours),      cmocka_unit_test(test_asked_for),
         cmocka_unit_test(test_same_again),         cmocka_unit_test(test_files),        cmocka_unit_test(test_cut_and_flipped),
-        cmocka_unit_test(test_impossible_forests), cmocka_unit_test(test_counts),
+        cmocka_unit_test(test_impossible_forests), cmocka_unit_test(test_codes),        cmocka_unit_test(test_looks),
+        cmocka_unit_test(test_looks_errors),       cmocka_unit_test(test_edges),        cmocka_unit_test(test_impossible_edges),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

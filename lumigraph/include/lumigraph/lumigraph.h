@@ -297,17 +297,42 @@ LMG_API lmg_result lmg_field_scale(lmg_field *field, double factor, lmg_error *e
  * rays: of the same light as the field, as many as tell where it is: their sum is taken to be all that is stored and residual; sorted by
  * something of their own, since trees depend on their order.  trees: 2 to LMG_MOST_TREES, 0 takes them away.  Colours are the cells'.
  * Slabs that get trees: of a layout of more than six all but the last six, which lmg_layout_fit makes to catch the rest; windows are parts of the
- * wide slab behind them.  Standard errors take rays' fluxes to be mixed alike everywhere in a slab.  On failure the field is as before.
+ * wide slab behind them.  On failure the field is as before.
  * Errors: LMG_ERROR_ARGUMENT (no ray in a wide slab), LMG_ERROR_UNSUPPORTED (no slab whose (s,t) is a direction; more of them
  * than a file may hold), LMG_ERROR_MEMORY.
  */
 enum { LMG_MOST_TREES = 16 };
 LMG_API lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t trees, lmg_error *err);
 
+/*
+ * Looks: rays spread over the leaves of a field's trees, as many for each leaf, along which whoever knows the luminaire says what an
+ * eye sees.  They divide the leaves further, and find the edges within: where emitters are seen directly, by mirrors or through
+ * glass, a look has no noise, and its dark side tells as much as its bright one.  Looks are a function of the trees and the seed alone.
+ */
+typedef struct lmg_looks lmg_looks;
+
+/* The field, which has to have trees, is borrowed and has to stay as it is.  count: 1 or more; each takes some 30 bytes, and as many
+ * again for each thread that grows trees of them.  Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_MEMORY. */
+LMG_API lmg_result lmg_looks_create(const lmg_field *field, size_t count, uint64_t seed, lmg_looks **out, lmg_error *err);
+LMG_API void lmg_looks_destroy(lmg_looks *looks); /* accepts NULL */
+LMG_API size_t lmg_looks_count(const lmg_looks *looks);
+
+/* The rays of looks first .. first + count - 1: from where they leave the bounds, with numbers of their own for the randomness of what
+ * becomes of them.  Once for each look; calls for different looks may run at once. */
+LMG_API void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays);
+
+/* What is seen along them: R,G,B, cd/m2, in the scale of the field.  Once for each look, after it was drawn; calls for different looks may
+ * run at once. */
+LMG_API void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*radiance)[3]);
+
+/* Grows the field's trees anew, of what was seen along all looks; each tree keeps its light.  field: the looks' own.  On failure it is as
+ * before.  Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_UNSUPPORTED (larger than a file may hold), LMG_ERROR_MEMORY. */
+LMG_API lmg_result lmg_field_refine_trees(lmg_field *field, const lmg_looks *looks, lmg_error *err);
+
 /* What the field has of them; zeros for none. */
 typedef struct lmg_tree_totals {
     uint32_t trees;
-    uint64_t leaves, rays;
+    uint64_t leaves, rays, looks;
     size_t memory; /* bytes, part of lmg_field_memory */
 } lmg_tree_totals;
 LMG_API lmg_tree_totals lmg_field_trees(const lmg_field *field);
