@@ -39,8 +39,11 @@ static const uint64_t TREE_ROUND = 200000;
 /* Seconds of a processor, about, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; and
  * the most that trees take of a bake by time. */
 static const double TREE_SECONDS = 3.2e-7, LOOK_TREE_SECONDS = 4.5e-7, LOOK_SECONDS = 1.2e-6, MOST_FOR_TREES = 0.5;
+/* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
+static const double LOOKS_PER_PHOTON = 2;
 /* Variance of a look over that of a photon, beyond which looks aren't worth their time: with 18 the opal globe's trees are a little worse. */
-static const double MOST_LOOK_NOISE = 1;
+static const double MOST_LOOK_NOISE = 0.5;
+static const uint64_t NOISE_PHOTONS = 8192;
 /* Receiver that the noise is told on. */
 static const uint32_t NOISE_PIXELS = 32;
 
@@ -177,6 +180,7 @@ typedef struct bake {
     bake_ray_list *kept;  /* rays of the first photons, for trees; NULL: none wanted, or they have to be traced again */
     bake_tally pilot_tally;
     double gather_share; /* of the time, that gathering will take */
+    uint64_t most_looks; /* for trees */
     bake_part *part;
     bake_part *resume; /* what part is to become; NULL when it has */
     bake_report *report;
@@ -269,13 +273,65 @@ static lmg_result measure_bias(bake *b, const lmg_field *field, lmg_error *err)
     return result == LMG_OK ? bake_bias_measure(field, rays, count, &b->report->bias, err) : result;
 }
 
-/* Looks that trees of so many photons are grown of, at most. */
-static uint64_t looks_for_trees(const bake *b, double photons)
+/* Seconds that a look takes with all that hangs on it; rate: photons per second. */
+static double look_seconds(const bake_options *o, double rate)
+{
+    const double threads = bake_thread_count(o->threads), turns = ceil(o->trees / fmin(threads, o->trees));
+    return 1 / rate + LOOK_SECONDS / threads + turns * LOOK_TREE_SECONDS;
+}
+
+static double pilot_rate(const bake *b)
+{
+    return (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6);
+}
+
+/* How many looks the trees are grown of, at most: as many as are asked for, none where an eye that looks into the lamp sees nothing or too
+ * much noise, and no more than half of a bake by time can trace. */
+static void decide_looks(bake *b, double seconds)
 {
     const bake_options *o = b->options;
-    if (!bake_tracer_can_look(b->tracer, NULL))
-        return 0;
-    return o->looks_chosen ? o->looks : (uint64_t)fmin(photons, BAKE_MOST_LOOKS);
+    char *why = b->report->no_looks_why;
+    const size_t room = sizeof(b->report->no_looks_why);
+    const char *obstacle;
+    b->most_looks = o->looks;
+    if (o->trees == 0 || o->looks_chosen)
+        return;
+    if (!bake_tracer_can_look(b->tracer, &obstacle)) {
+        snprintf(why, room, "rays can't be traced backwards through a lamp with %s", obstacle);
+        return;
+    }
+    bake_ray_list *list;
+    lmg_error err = {.message = ""};
+    double noise = 0;
+    lmg_result result = bake_ray_list_create(NOISE_PHOTONS, &list, &err);
+    if (result == LMG_OK) {
+        const lmg_sink sink = bake_ray_list_sink(list);
+        bake_tally tally = {0};
+        result = b->tracer->run(b->tracer, BAKE_PILOT_FIRST, NOISE_PHOTONS, o->threads, &sink, 1, &tally, &err);
+        size_t count;
+        const lmg_ray *rays = bake_ray_list_sorted(list, &count);
+        if (result == LMG_OK)
+            result = bake_ray_list_check(list, &err);
+        if (result == LMG_OK)
+            result = bake_look_noise(b->tracer, rays, count, &noise, &err);
+        bake_ray_list_destroy(list);
+    }
+    if (result != LMG_OK)
+        snprintf(why, room, "%s", err.message);
+    else if (isinf(noise))
+        snprintf(why, room, "paths traced backwards find none of this lamp's light");
+    else if (noise > MOST_LOOK_NOISE)
+        snprintf(why, room, "what an eye sees in this lamp has %.2g times the variance of a photon", noise);
+    else
+        b->most_looks = BAKE_MOST_LOOKS;
+    if (b->most_looks > 0 && o->photons == 0)
+        b->most_looks = (uint64_t)fmin((double)b->most_looks, MOST_FOR_TREES * seconds / look_seconds(o, pilot_rate(b)));
+}
+
+/* Photons that the trees are grown of, at most. */
+static uint64_t photons_for_trees(const bake *b)
+{
+    return b->most_looks > 0 ? BAKE_LOOKED_PHOTONS : BAKE_TREE_PHOTONS;
 }
 
 /* Has the rays of the bake's first photons kept for trees while they are traced; where others trace some of them, or have, they are traced
@@ -285,14 +341,14 @@ static lmg_result keep_rays_for_trees(bake *b, lmg_error *err)
     const bake_options *o = b->options;
     if (o->trees == 0 || b->report->resumed || o->team)
         return LMG_OK;
-    const uint64_t most = o->photons > 0 && o->photons < BAKE_TREE_PHOTONS ? o->photons : BAKE_TREE_PHOTONS;
+    const uint64_t all = photons_for_trees(b), most = o->photons > 0 && o->photons < all ? o->photons : all;
     return bake_ray_list_create((size_t)most + 1024, &b->kept, err);
 }
 
 static lmg_result trace_rays_for_trees(bake *b, lmg_error *err)
 {
     const bake_options *o = b->options;
-    const uint64_t all = b->part->tally.photons, wanted = all < BAKE_TREE_PHOTONS ? all : BAKE_TREE_PHOTONS;
+    const uint64_t all = b->part->tally.photons, most = photons_for_trees(b), wanted = all < most ? all : most;
     lmg_result result = bake_ray_list_create((size_t)wanted + 1024, &b->kept, err);
     const lmg_sink sink = b->kept ? bake_ray_list_sink(b->kept) : (lmg_sink){0};
     bake_tally tally = {0};
@@ -303,65 +359,70 @@ static lmg_result trace_rays_for_trees(bake *b, lmg_error *err)
     return result;
 }
 
-/* Refines the trees by what is seen inside the lamp. */
-static lmg_result look_into(const bake *b, lmg_field *field, uint64_t count, lmg_error *err)
+/* Refines the trees by what is seen inside the lamp; they stay as they are if somebody says stop. */
+static lmg_result look_into(const bake *b, lmg_field *field, lmg_error *err)
 {
+    const bake_options *o = b->options;
+    const double photons = (double)b->part->tally.photons;
+    const uint64_t count = o->looks_chosen ? o->looks : (uint64_t)fmin(LOOKS_PER_PHOTON * photons, (double)b->most_looks);
     lmg_looks *looks;
-    lmg_result result = lmg_looks_create(field, (size_t)count, b->options->seed, &looks, err);
+    if (count == 0)
+        return LMG_OK;
+    lmg_result result = lmg_looks_create(field, (size_t)count, o->seed, &looks, err);
     if (result != LMG_OK)
         return result;
-    result = bake_look_run(b->tracer, looks, b->report->flux_lm, b->options->threads, b->options->stop, err);
+    result = bake_look_run(b->tracer, looks, b->report->flux_lm, o->threads, o->stop, err);
     if (result == LMG_OK && !stopped(b))
         result = lmg_field_refine_trees(field, looks, err);
     lmg_looks_destroy(looks);
     return result;
 }
 
-/* Grows them of the rays of the first photons and, where a look knows as much as a photon, of looks. */
-static lmg_result grow_of(bake *b, lmg_field *field, const lmg_ray *rays, size_t count, lmg_error *err)
+static lmg_result write_checkpoint(bake *b, lmg_error *err)
 {
-    const bake_options *o = b->options;
-    uint64_t looks = looks_for_trees(b, (double)b->part->tally.photons);
-    lmg_result result = LMG_OK;
-    if (looks > 0)
-        result = bake_look_noise(b->tracer, rays, count, &b->report->look_noise, err);
-    if (!o->looks_chosen && b->report->look_noise > MOST_LOOK_NOISE)
-        looks = 0;
-    while (looks > 0 && count > 0 && rays[count - 1].number >= o->first + BAKE_LOOKED_PHOTONS)
-        count--;
-    if (result == LMG_OK)
-        result = lmg_field_grow_trees(field, rays, count, o->trees, err);
-    return result == LMG_OK && looks > 0 ? look_into(b, field, looks, err) : result;
+    if (!b->options->checkpoint)
+        return LMG_OK;
+    const lmg_result result = bake_part_write(b->part, b->options->checkpoint, err);
+    b->report->checkpointed |= result == LMG_OK;
+    return result;
 }
 
-/* Grows the trees, the same whoever has traced the photons.  What hinders that is told, and the box does without: a bake isn't lost for it. */
-static void grow_trees(bake *b, lmg_field *field)
+/* Grows the trees, the same whoever has traced the photons.  What hinders that is told, and the box does without: a bake isn't lost for it.
+ * An interruption here is one of the bake. */
+static lmg_result grow_trees(bake *b, lmg_field *field, lmg_error *err)
 {
     const bake_options *o = b->options;
     bake_report *r = b->report;
     if (o->trees == 0)
-        return;
+        return LMG_OK;
     const double began = bake_clock();
     lmg_error why = {.message = ""};
     lmg_result result = LMG_OK;
     if (!b->kept && !r->interrupted)
         result = trace_rays_for_trees(b, &why);
-    if (r->interrupted || stopped(b))
-        result = lmg_fail(&why, LMG_ERROR_UNSUPPORTED, "interrupted; go on with --resume");
-    if (result == LMG_OK)
+    if (result == LMG_OK && !r->interrupted && !stopped(b)) {
         result = bake_ray_list_check(b->kept, &why);
-    if (result == LMG_OK) {
         size_t count;
         const lmg_ray *rays = bake_ray_list_sorted(b->kept, &count);
-        result = grow_of(b, field, rays, count, &why);
+        if (result == LMG_OK)
+            result = lmg_field_grow_trees(field, rays, count, o->trees, &why);
+        if (result == LMG_OK && look_into(b, field, &why) != LMG_OK)
+            snprintf(r->no_looks_why, sizeof(r->no_looks_why), "%s", why.message);
     }
-    if (result == LMG_OK && stopped(b))
-        result = lmg_fail(&why, LMG_ERROR_UNSUPPORTED, "interrupted; go on with --resume");
     r->trees_seconds = bake_clock() - began;
-    if (result == LMG_OK)
-        return;
+    const bool looked = lmg_field_trees(field).looks > 0;
+    if (result == LMG_OK && !r->interrupted && (looked || !stopped(b)))
+        return LMG_OK;
     lmg_field_grow_trees(field, NULL, 0, 0, NULL);
-    snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", why.message);
+    if (result != LMG_OK) {
+        snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", why.message);
+        return LMG_OK;
+    }
+    snprintf(r->no_trees_why, sizeof(r->no_trees_why), "interrupted");
+    if (r->interrupted)
+        return LMG_OK;
+    r->interrupted = true;
+    return write_checkpoint(b, err);
 }
 
 /* Numbers of the photons to trace: first .. end-1. */
@@ -386,15 +447,6 @@ static void tell_progress(const bake *b, double seconds_left)
         .seconds_left = o->photons ? (double)(o->photons - part->tally.photons) / average : fmax(seconds_left, 0),
     };
     o->progress(o->progress_self, &p);
-}
-
-static lmg_result write_checkpoint(bake *b, lmg_error *err)
-{
-    if (!b->options->checkpoint)
-        return LMG_OK;
-    const lmg_result result = bake_part_write(b->part, b->options->checkpoint, err);
-    b->report->checkpointed |= result == LMG_OK;
-    return result;
 }
 
 /* The photons of the next round, at most `most`: with a team those that nobody has been given, else those that the part lacks. */
@@ -442,11 +494,11 @@ static lmg_result trace(bake *b, double deadline, lmg_error *err)
             team = NULL;
             continue;
         }
-        const bool keep = b->kept && first < o->first + BAKE_TREE_PHOTONS;
+        const bool keep = b->kept && first < o->first + photons_for_trees(b);
         if (keep) {
             sinks[1] = bake_ray_list_sink(b->kept);
-            if (round > o->first + BAKE_TREE_PHOTONS - first)
-                round = o->first + BAKE_TREE_PHOTONS - first;
+            if (round > o->first + photons_for_trees(b) - first)
+                round = o->first + photons_for_trees(b) - first;
         }
         lmg_result result = b->tracer->run(b->tracer, first, round, o->threads, sinks, keep ? 2 : 1, &part->tally, err);
         if (result == LMG_OK)
@@ -737,11 +789,11 @@ static double trees_share(const bake *b, double seconds)
     const bake_options *o = b->options;
     if (o->trees == 0)
         return 0;
-    const double rate = (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6);
-    const double rays = fmin(rate * seconds, BAKE_TREE_PHOTONS), looks = (double)looks_for_trees(b, rate * seconds);
-    const double threads = bake_thread_count(o->threads), turns = ceil(o->trees / fmin(threads, o->trees));
-    return fmin((turns * (rays * TREE_SECONDS + looks * LOOK_TREE_SECONDS) + looks * (1 / rate + LOOK_SECONDS / threads)) / seconds,
-                MOST_FOR_TREES);
+    const double rate = pilot_rate(b), turns = ceil(o->trees / fmin(bake_thread_count(o->threads), o->trees));
+    const double photons = fmin(rate * seconds, (double)photons_for_trees(b)) * turns * TREE_SECONDS / seconds;
+    /* of each second so much goes to the looks of the photons that the rest traces, as long as there are no more than the most */
+    const double each = look_seconds(o, rate), looks = LOOKS_PER_PHOTON * rate * each;
+    return fmin(photons + fmin(looks / (1 + looks), (double)b->most_looks * each / seconds), MOST_FOR_TREES + 0.1);
 }
 
 static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
@@ -761,8 +813,10 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
         result = identify(b, b->part, err);
     if (result == LMG_OK)
         result = b->resume ? resume_part(b, err) : begin_part(b, seconds, err);
-    if (result == LMG_OK)
+    if (result == LMG_OK) {
+        decide_looks(b, seconds);
         result = keep_rays_for_trees(b, err);
+    }
     if (result == LMG_OK)
         result = trace(b, o->photons ? (double)INFINITY : began + (seconds - b->part->seconds) * (1 - b->gather_share) * (1 - trees_share(b, seconds)), err);
     if (result != LMG_OK)
@@ -787,9 +841,7 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     if (result == LMG_OK)
         result = measure_bias(b, *out, err);
     r->reconstruct_seconds = bake_clock() - reconstruct_began;
-    if (result == LMG_OK)
-        grow_trees(b, *out);
-    return result;
+    return result == LMG_OK ? grow_trees(b, *out, err) : result;
 }
 
 lmg_result bake_run(const struct lum_model *model, const bake_options *options, lmg_field **out, bake_report *report,

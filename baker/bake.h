@@ -37,8 +37,9 @@ typedef struct bake_options {
     double rays_per_photon; /* traced backwards for each stored photon, once they are traced (gather.h); 0 = photons only, < 0 = as
                                the pilot says */
     uint32_t trees;         /* radiance trees (lmg_field_grow_trees) of the first photons, up to BAKE_TREE_PHOTONS; 0 = none */
-    bool looks_chosen;      /* rays traced backwards to refine them (lmg_looks): `looks`, 0 = none, instead of as many as photons, up to */
-    uint64_t looks;         /* BAKE_MOST_LOOKS, where an eye that looks into the lamp sees without much noise */
+    bool looks_chosen;      /* refine the trees by `looks` rays traced backwards, 0 = none; else two for each photon up to BAKE_MOST_LOOKS,
+                               where an eye that looks into the lamp sees without much noise */
+    uint64_t looks;
     uint64_t seed;
     bool effects_chosen;    /* simulate `effects` (bits of bake_effect) as far as the model has them, instead of what a plan says */
     uint32_t effects;
@@ -70,7 +71,7 @@ typedef struct bake_report {
     uint64_t refused; /* rays that the accumulator refused; counted as lost in the ledger */
     uint64_t gathered_rays; /* traced backwards */
     char no_trees_why[200]; /* why there are none though they were asked for; "" otherwise */
-    double look_noise;      /* of looks into the lamp (bake_look_noise); 0 = not asked for */
+    char no_looks_why[200]; /* why trees have none though nobody forbade it; "" otherwise */
     char gather_why[200];   /* why so many; "" when it wasn't asked, or decided by an earlier run */
     double plan_seconds, pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds, trees_seconds;
     double noise;     /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */

@@ -52,7 +52,7 @@ enum {
  * noise. */
 static const double SIZE_SLACK = 1.03, MOST_ROUNDING = 0.4;
 /* Trees of more would be larger than a file may hold. */
-static const uint64_t MOST_LOOKS = 50000000;
+static const uint64_t MOST_LOOKS = 32000000;
 
 static const struct argp_option OPTIONS[] = {
     {"output", 'o', "BOX", 0, "the file to write, NAME.box.exr", 1},
@@ -73,7 +73,7 @@ static const struct argp_option OPTIONS[] = {
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving them out may change (default 0.1%)", 4},
     {"gather", KEY_GATHER, "R|auto", 0, "R rays traced backwards per photon (default none)", 4},
     {"trees", KEY_TREES, "N", 0, "2 to 16 radiance trees, for the lamp as it is looked at; they add to --size (default none)", 4},
-    {"looks", KEY_LOOKS, "N", 0, "rays traced backwards to sharpen trees, 0 = photons only (default: as many as photons, up to 8M)", 4},
+    {"looks", KEY_LOOKS, "N", 0, "rays traced backwards to sharpen trees, 0 = photons only (default: 2 per photon, up to 8M)", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
     {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},
@@ -452,8 +452,8 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                                   r->trace_seconds, "gather", r->gather_seconds, "reconstruct", r->reconstruct_seconds, "trees",
                                   r->trees_seconds, "total", seconds));
     json_object_set_new(o, "trees", json_trees(field));
-    if (r->look_noise > 0)
-        json_object_set_new(o, "look_noise", json_number(r->look_noise));
+    if (r->no_looks_why[0])
+        json_object_set_new(o, "no_looks_why", json_string(r->no_looks_why));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "bytes_foretold", r->size_foretold > 0 ? json_number(r->size_foretold) : json_null());
     json_object_set_new(o, "rounding",
@@ -522,8 +522,8 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     if (trees.trees > 0) {
         printf("  trees     %u with %.3g M leaves in all, of %.3g M rays and %.3g M looks, in %.1f s\n", trees.trees,
                1e-6 * (double)trees.leaves, 1e-6 * (double)trees.rays, 1e-6 * (double)trees.looks, r->trees_seconds);
-        if (trees.looks == 0 && r->look_noise > 0)
-            printf("            no looks: what an eye sees in this lamp has %.2g times a photon's variance\n", r->look_noise);
+        if (r->no_looks_why[0])
+            printf("            no looks: %s\n", r->no_looks_why);
     }
     printf("  file      %.2f MB", 1e-6 * (double)bytes);
     if (r->size_foretold > 0)

@@ -96,10 +96,17 @@ void lmg_tree_etendues(const lmg_tree *tree, uint32_t root, const lmg_slab *slab
 void lmg_tree_fill(lmg_tree *tree, uint32_t root, uint32_t end)
 {
     for (uint32_t i = tree->first[root]; i < end; i++)
-        if (tree->nodes[i].axis == LMG_LEAF) {
+        if (tree->nodes[i].axis == LMG_LEAF)
             tree->nodes[i].radiance = (float)(tree->unit[root] * lmg_leaf_part(tree->nodes[i].code));
-            tree->leaves++;
-        }
+}
+
+void lmg_tree_end(lmg_tree *tree)
+{
+    tree->leaves = 0;
+    for (uint32_t i = 0; i < tree->count; i++)
+        tree->leaves += tree->nodes[i].axis == LMG_LEAF;
+    lmg_tree_node *nodes = realloc(tree->nodes, tree->count * sizeof *nodes);
+    tree->nodes = nodes ? nodes : tree->nodes;
 }
 
 void lmg_tree_set_leaves(lmg_tree *tree, uint32_t root, uint32_t end, const double *luminance, const float *variance,
@@ -312,13 +319,11 @@ void lmg_sapling_set_leaves(lmg_sapling *s, uint32_t root, double light)
 
 lmg_result lmg_sapling_end(lmg_sapling *s, lmg_error *err)
 {
-    lmg_tree *tree = s->tree;
     free(s->luminance);
     free(s->variance);
     if (s->failed)
         return lmg_fail(err, LMG_ERROR_MEMORY, "trees: no memory to grow one");
-    lmg_tree_node *nodes = realloc(tree->nodes, tree->count * sizeof *nodes);
-    tree->nodes = nodes ? nodes : tree->nodes;
+    lmg_tree_end(s->tree);
     return LMG_OK;
 }
 

@@ -112,7 +112,7 @@ double lmg_tree_etendue(const lmg_slab *slab, const lmg_tree_box *box);
 void lmg_tree_etendues(const lmg_tree *tree, uint32_t root, const lmg_slab *slab, double *etendue);
 
 /* Nodes of a root: first .. end - 1. */
-static inline uint32_t lmg_tree_end(const lmg_trees *trees, const lmg_tree *tree, uint32_t root)
+static inline uint32_t lmg_root_end(const lmg_trees *trees, const lmg_tree *tree, uint32_t root)
 {
     return root + 1 < trees->root_count ? tree->first[root + 1] : tree->count;
 }
@@ -124,6 +124,9 @@ void lmg_tree_set_leaves(lmg_tree *tree, uint32_t root, uint32_t end, const doub
 
 /* Sets the radiance of a root's leaves by their codes. */
 void lmg_tree_fill(lmg_tree *tree, uint32_t root, uint32_t end);
+
+/* When all roots are there: counts the leaves, gives back memory that isn't needed. */
+void lmg_tree_end(lmg_tree *tree);
 
 /* One tree while it grows. */
 typedef struct lmg_sapling {

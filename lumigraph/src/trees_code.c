@@ -130,6 +130,7 @@ unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
 typedef struct reader {
     const unsigned char *at, *end;
     bool failed;
+    bool edges; /* only looks find them: lmg_looks_create relies on that */
 } reader;
 
 static uint64_t get(reader *r, int count)
@@ -179,7 +180,7 @@ static bool get_edge(reader *r, lmg_tree *tree)
     n->cut = (uint8_t)get(r, 1);
     int normal[4];
     lmg_edge_normal(n->code, normal);
-    bool good = normal[0] != 0 || normal[1] != 0 || normal[2] != 0 || normal[3] != 0;
+    bool good = r->edges && (normal[0] != 0 || normal[1] != 0 || normal[2] != 0 || normal[3] != 0);
     for (int k = 0; k < 4; k++)
         good = good && normal[k] <= LMG_EDGE_MOST;
     good = good && n->cut < LMG_EDGE_CUTS - 1 && !r->failed;
@@ -244,7 +245,7 @@ lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_l
     static const char damaged[] = "its radiance trees are damaged; copy or bake it again";
     if (size < HEAD + HASH || size > LMG_TREE_BYTES)
         return lmg_fail(err, LMG_ERROR_FILE_FORMAT, "%s", damaged);
-    reader r = {bytes, bytes + size - HASH, false}, tail = {bytes + size - HASH, bytes + size, false};
+    reader r = {bytes, bytes + size - HASH, false, false}, tail = {bytes + size - HASH, bytes + size, false, false};
     const uint64_t hash = get(&tail, HASH);
 #ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* or a fuzzer would hardly get past this line */
     (void)hash;
@@ -263,6 +264,7 @@ lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_l
     trees->root_count = (uint32_t)get(&r, 2);
     trees->rays = get(&r, 8);
     trees->looks = get(&r, 8);
+    r.edges = trees->looks > 0;
     const bool possible = trees->tree_count >= 1 && trees->tree_count <= LMG_MOST_TREES && trees->root_count >= 1 &&
                           trees->root_count <= LMG_MAX_SLABS;
     if (!possible)
@@ -274,8 +276,8 @@ lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_l
         tree->nodes = malloc((size_t)(r.end - r.at + 1) * sizeof *tree->nodes);
         memory = tree->nodes != NULL;
         good = memory && get_tree(&r, trees, tree);
-        lmg_tree_node *nodes = good ? realloc(tree->nodes, tree->count * sizeof *nodes) : NULL;
-        tree->nodes = nodes ? nodes : tree->nodes;
+        if (good)
+            lmg_tree_end(tree);
     }
     if (good && r.at == r.end) {
         *out = trees;

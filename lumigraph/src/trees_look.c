@@ -29,6 +29,7 @@ typedef struct look {
 
 struct lmg_looks {
     const lmg_field *field;
+    const lmg_trees *trees; /* the field's, which looks refine once */
     uint64_t seed;
     size_t count;
     look *look;
@@ -64,7 +65,7 @@ lmg_result lmg_looks_create(const lmg_field *field, size_t count, uint64_t seed,
     lmg_looks *made = calloc(1, sizeof *made);
     bool done = made != NULL;
     if (done) {
-        *made = (lmg_looks){.field = field, .seed = seed, .count = count};
+        *made = (lmg_looks){.field = field, .trees = trees, .seed = seed, .count = count};
         made->look = calloc(count, sizeof *made->look);
         made->root = malloc(count);
         done = made->look && made->root;
@@ -133,29 +134,35 @@ static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, uint64_t *sta
     return false;
 }
 
-/* Sum over trees of the looks that a unit of etendue holds, for one look to a leaf. */
+/* Looks that are drawn from a tree: trees take turns. */
+static double looks_of(const lmg_looks *looks, uint32_t tree)
+{
+    const size_t n = looks->trees->tree_count;
+    return (double)((looks->count + n - 1 - tree) / n);
+}
+
+/* Looks that a unit of etendue holds, of all trees together. */
 static double density_at(const lmg_looks *looks, uint32_t root, const float at[4])
 {
-    const lmg_trees *trees = looks->field->trees;
     double sum = 0;
-    for (uint32_t k = 0; k < trees->tree_count; k++) {
-        const lmg_tree *tree = &trees->trees[k];
-        sum += 1 / (tree->leaves * looks->etendue[k][lmg_tree_leaf(tree, root, at, NULL) - tree->nodes]);
+    for (uint32_t k = 0; k < looks->trees->tree_count; k++) {
+        const lmg_tree *tree = &looks->trees->trees[k];
+        sum += looks_of(looks, k) / (tree->leaves * looks->etendue[k][lmg_tree_leaf(tree, root, at, NULL) - tree->nodes]);
     }
     return sum;
 }
 
 void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays)
 {
-    const lmg_trees *trees = looks->field->trees;
+    const lmg_trees *trees = looks->trees;
     const lmg_layout *layout = &looks->field->layout;
     for (size_t i = first; i < first + count; i++) {
         uint64_t state = lmg_mix(lmg_next_key(looks->seed) + i);
-        /* trees take turns, each through its leaves in order */
+        /* each tree goes through its leaves in order */
         const uint32_t k = (uint32_t)(i % trees->tree_count);
         const lmg_tree *tree = &trees->trees[k];
-        const double turns = ceil((double)looks->count / trees->tree_count);
-        const uint32_t n = (uint32_t)(((double)(i / trees->tree_count) + lmg_next_number(&state)) / turns * tree->leaves);
+        const double at = ((double)(i / trees->tree_count) + lmg_next_number(&state)) / looks_of(looks, k);
+        const uint32_t n = (uint32_t)(at * tree->leaves);
         const uint32_t leaf = looks->leaf[k][n < tree->leaves ? n : tree->leaves - 1];
         uint32_t root = 0;
         while (root + 1 < trees->root_count && tree->first[root + 1] <= leaf)
@@ -171,7 +178,7 @@ void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays)
         lmg_slab_ray(slab, uvst, &ray->origin, &ray->direction);
         looks->root[i] = (uint8_t)root;
         l->weight = drawn && lmg_trees_root(trees, layout, ray->origin, ray->direction, own) == (int)root
-                        ? (float)(trees->tree_count / (density_at(looks, root, l->at) * (double)looks->count))
+                        ? (float)(1 / density_at(looks, root, l->at))
                         : 0;
         if (lmg_box_interval(layout->bounds_min, layout->bounds_max, ray->origin, ray->direction, &k0, &k1))
             ray->origin = v_fma(ray->origin, k1, ray->direction);
@@ -191,11 +198,12 @@ void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*r
 /*
  * The squared error of a tree is, but for what all have in common, minus the sum over its pieces of etendue times the squared mean, less
  * twice the variance of the mean.  Forks and edges have been chosen among several, which makes them look better than they are, so
- * variances count more: with 4 times trees have three times the leaves and are no better (docs/accuracy.md).
+ * variances count more: with 4 times trees have three times the leaves and are no better (docs/accuracy.md).  Edges are looked for
+ * hardest, and where looks have noise they find it (NOISY_EDGE_PENALTY: with the variance of a photon).
  */
-static const double PENALTY = 8, EDGE_PENALTY = 10;
-/* Looks along which all is even are as certain as so much. */
-static const double LEAST_SPREAD = 0.01;
+static const double PENALTY = 8, EDGE_PENALTY = 10, NOISY_EDGE_PENALTY = 20;
+/* Relative variance of a look: at least, where all is even; and where looks are too few to tell it. */
+static const double LEAST_SPREAD = 0.01, UNKNOWN_SPREAD = 100;
 /* How certain a dark leaf is, in photons: cuts were chosen so that none is in it, and the leaves beside it hold a little more than they have. */
 static const double DARK_PHOTONS = 8;
 /* A piece of fewer looks isn't divided; nor is one of fewer, or more, by an edge: it would be no plane. */
@@ -256,6 +264,7 @@ typedef struct piece {
     double etendue;
     double before, variance; /* luminance of the leaf that it is a part of, and relative variance of that */
     double usual;            /* variance of a look */
+    double edge_penalty;
     uint64_t key;
     unsigned depth;
 } piece;
@@ -362,8 +371,8 @@ static void try_normal(const piece *p, size_t step, const int normal[4], edge *b
         const sums high = rest(&all, &low);
         if (low.count < 2 || high.count < 2)
             continue;
-        const double gain = (score(&low, low.luminance / low.weight, low.weight, EDGE_PENALTY, p->usual) +
-                             score(&high, high.luminance / high.weight, high.weight, EDGE_PENALTY, p->usual)) *
+        const double gain = (score(&low, low.luminance / low.weight, low.weight, p->edge_penalty, p->usual) +
+                             score(&high, high.luminance / high.weight, high.weight, p->edge_penalty, p->usual)) *
                             p->etendue / all.weight;
         if (gain > best->score) {
             *best = (edge){.cut = cut, .side = {low, high}, .score = gain};
@@ -496,7 +505,7 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
         return own;
     const bool has_edge = e.score > own;
     const double alone = has_edge ? e.score : own;
-    if (alone >= kept) {
+    if (axis < 0 || !(kept > alone)) {
         s->tree->count = me + 1;
         if (has_edge)
             *light = set_edge(s, me, &e, p->etendue, p->usual);
@@ -574,13 +583,18 @@ static void grow_from(lmg_sapling *s, const lmg_tree *was, const double *etendue
         grow_piece(s, &here, &all, &light);
         if (s->failed || all.count == 0)
             return;
-        /* looks divide the leaf's light; how much there is, photons tell as well, each as far as it is certain */
-        const double looks = all.weight * all.weight / all.weights2 / spread;
-        const double photons = here.before > 0 ? 1 / here.variance : DARK_PHOTONS;
-        const double both = (looks * mean_of(&all, &here) + photons * here.before) / (looks + photons);
+        /* looks divide the leaf's light; how much there is, photons tell as well, each as far as it is certain: as photons that are to
+         * be expected, since those that are there go with what they tell */
+        const double looks = all.weight * all.weight / all.weights2 / spread, mean = mean_of(&all, &here);
+        double photons = here.before > 0 ? 1 / here.variance : DARK_PHOTONS;
+        double both = (looks * mean + photons * here.before) / (looks + photons);
+        if (here.before > 0) {
+            photons *= both / here.before;
+            both = (looks * mean + photons * here.before) / (looks + photons);
+        }
         for (uint32_t i = first; i < s->tree->count; i++)
             s->luminance[i] = light > 0 ? s->luminance[i] * (both * here.etendue / light) : both;
-        if (!(light > 0))
+        if (s->tree->count == first + 1) /* a leaf still */
             s->variance[first] = (float)(1 / (looks + photons));
         return;
     }
@@ -606,14 +620,14 @@ static lmg_result refine_tree(void *self, uint64_t k, void *scratch, lmg_error *
     (void)scratch;
     const refining *r = self;
     const lmg_looks *looks = r->looks;
-    const lmg_trees *trees = looks->field->trees;
+    const lmg_trees *trees = looks->trees;
     const lmg_tree *was = &trees->trees[k];
     lmg_sapling s = {.tree = &r->trees->trees[k]};
     look *own = malloc(looks->count * sizeof *own);
     s.failed = !own;
     for (uint32_t j = 0; j < trees->root_count && !s.failed; j++) {
         double light = 0;
-        for (uint32_t i = was->first[j]; i < lmg_tree_end(trees, was, j); i++)
+        for (uint32_t i = was->first[j]; i < lmg_root_end(trees, was, j); i++)
             light += was->nodes[i].axis == LMG_LEAF ? (double)was->nodes[i].radiance * looks->etendue[k][i] : 0;
         piece p = {.looks = own, .box = lmg_tree_whole(), .key = lmg_next_key(lmg_next_key(~k) ^ j)};
         for (size_t i = 0; i < looks->count; i++)
@@ -623,7 +637,8 @@ static lmg_result refine_tree(void *self, uint64_t k, void *scratch, lmg_error *
         s.tree->first[j] = s.tree->count;
         noise n = {0};
         measure_noise(was, was->first[j], &p, &n);
-        const double spread = n.square > 0 ? fmax(n.variance / n.square, LEAST_SPREAD) : LEAST_SPREAD;
+        const double spread = n.square > 0 ? fmax(n.variance / n.square, LEAST_SPREAD) : UNKNOWN_SPREAD;
+        p.edge_penalty = EDGE_PENALTY + (NOISY_EDGE_PENALTY - EDGE_PENALTY) * fmin(spread, 1);
         grow_from(&s, was, looks->etendue[k], was->first[j], &p, spread);
         if (!s.failed)
             lmg_sapling_set_leaves(&s, j, light);
@@ -632,10 +647,10 @@ static lmg_result refine_tree(void *self, uint64_t k, void *scratch, lmg_error *
     return lmg_sapling_end(&s, err);
 }
 
-lmg_result lmg_field_refine_trees(lmg_field *field, const lmg_looks *looks, lmg_error *err)
+lmg_result lmg_field_refine_trees(lmg_field *field, lmg_looks *looks, lmg_error *err)
 {
-    if (!field || !looks || looks->field != field || !field->trees)
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "trees: the looks are of another field");
+    if (!field || !looks || looks->field != field || !looks->trees || field->trees != looks->trees)
+        return lmg_fail(err, LMG_ERROR_ARGUMENT, "trees: the looks are of other trees, or have refined them");
     lmg_trees *made = calloc(1, sizeof *made);
     if (!made)
         return lmg_fail(err, LMG_ERROR_MEMORY, "trees: no memory");
@@ -650,7 +665,9 @@ lmg_result lmg_field_refine_trees(lmg_field *field, const lmg_looks *looks, lmg_
     if (result == LMG_OK)
         result = lmg_trees_check_size(made, err);
     lmg_trees_destroy(result == LMG_OK ? field->trees : made);
-    if (result == LMG_OK)
+    if (result == LMG_OK) {
         field->trees = made;
+        looks->trees = NULL;
+    }
     return result;
 }

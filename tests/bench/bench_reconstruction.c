@@ -21,7 +21,7 @@
  * Usage: test_bench_reconstruction [LAMP|all [photons [cells, 0 = as many as the photons are worth [judging photons [sizes of
  * tables [rays [trees [looks]]]]]]]]; a line of JSON for each lamp.  rays: traced backwards for each photon that leaves, beside the box's photons (0; -1: as
  * the pilot says).  trees: radiance trees of the box (0), which radiance and pictures are then those of.  looks: for
- * these (as many as photons, where an eye can look into the lamp).
+ * these (as the bake decides).
  */
 #include "bake.h"
 #include "sampler.h"
@@ -451,7 +451,7 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
         for (uint32_t k = 0; k < trees->tree_count; k++) {
             const lmg_tree *tree = &trees->trees[k];
             const lmg_slab *slab = &field->layout.slabs[trees->roots[r].slab];
-            const uint32_t end = lmg_tree_end(trees, tree, r);
+            const uint32_t end = lmg_root_end(trees, tree, r);
             double *upto = reserve(end - tree->first[r], sizeof *upto), *etendue = reserve(tree->count, sizeof *etendue), sum = 0;
             lmg_tree_etendues(tree, r, slab, etendue);
             for (uint32_t i = tree->first[r]; i < end; i++)

@@ -82,6 +82,8 @@ static void test_usage_errors(void **state)
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "17"), 2, "--trees");
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--photons", "1000", "--share", "1/2"), 2, "leave out --trees");
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--photons", "1000", "--first", "500", "--pilot", "1000"), 2, "leave out --trees");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--looks", "100"), 2, "--trees 8");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--looks", "1e9"), 2, "--looks");
     EXPECT(RUN("probe", box), 2, "--points");
     EXPECT(RUN("probe", box, "--points", "-", "--rays", "-"), 2, "at a time");
     EXPECT(RUN("probe", box, "--points", "-", "--linear"), 2, "--rays");
@@ -261,6 +263,34 @@ static void test_trees(void **state)
     o = RUN("info", without);
     assert_null(strstr(o.out, "radiance trees"));
     release(&o);
+}
+
+/* Looks into the lamp: two for each photon unless asked for otherwise, none where they can't be, which is told. */
+static void test_looks(void **state)
+{
+    (void)state;
+    const char *path = in_folder("looks.box.exr");
+    static const struct {
+        const char *looks, *effects;
+        double count;
+    } CASES[] = {{NULL, "auto", 40000}, {"0", "auto", 0}, {"1", "auto", 1}, {"5000", "auto", 5000}, {NULL, "all", 0}, {"0", "all", 0}};
+    for (size_t i = 0; i < sizeof(CASES) / sizeof(CASES[0]); ++i) {
+        const char *args[20] = {"bake",     lamp,  "-o",        path,             "--photons", "20000", "--cells", "5e3",
+                                "--trees",  "4",   "--effects", CASES[i].effects, "--json"};
+        if (CASES[i].looks) {
+            args[13] = "--looks";
+            args[14] = CASES[i].looks;
+        }
+        outcome o = finish(start(args));
+        assert_int_equal(o.code, 0);
+        json_t *j = parse_json(o.out);
+        assert_true(number_at(j, "trees", "looks") == CASES[i].count && number_at(j, "trees", "trees") == 4);
+        const char *why = json_string_value(json_object_get(j, "no_looks_why"));
+        assert_true(!CASES[i].looks && CASES[i].count == 0 ? why && strstr(why, "polarization") : !why);
+        json_decref(j);
+        release(&o);
+    }
+    EXPECT(RUN("bake", lamp, "-o", path, "--photons", "20000", "--trees", "4", "--looks", "100", "--effects", "all"), 3, "leave --looks out");
 }
 
 /* Ctrl-C in a long bake: a valid box with what was traced, exit code 130. */
@@ -733,6 +763,7 @@ int main(void)
         cmocka_unit_test(test_same_bytes_for_any_threads),
         cmocka_unit_test(test_bake_summary_and_flux),
         cmocka_unit_test(test_trees),
+        cmocka_unit_test(test_looks),
         cmocka_unit_test(test_interrupt),
         cmocka_unit_test(test_probe),
         cmocka_unit_test(test_bad_tables),

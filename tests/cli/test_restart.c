@@ -448,6 +448,46 @@ static void test_trees(void **state)
     unlink(part.text);
 }
 
+/* The same of trees that grow of looks into the lamp. */
+static void test_looks(void **state)
+{
+    (void)state;
+    const char *const lens = LUMIBOX_BINARY_DIR "/models/glass-lens/glass-lens.gltf";
+    const name whole = path_of("whole.box.exr"), box = path_of("looks.box.exr"), part = path_of("looks.box.exr.part");
+#define LOOKS(box, ...) BAKE_PLANNED(lens, "-o", box, "--pilot", "30000", "--trees", "4", "--looks", "30000", __VA_ARGS__)
+    LOOKS(whole.text, "--photons", "100000", "--threads", "1");
+    outcome o = RUN("info", whole.text, "--json");
+    json_t *j = json_loads(o.out, 0, NULL);
+    assert_int_equal(json_integer_value(json_object_get(json_object_get(j, "trees"), "looks")), 30000);
+    json_decref(j);
+    release(&o);
+    LOOKS(box.text, "--photons", "100000", "--threads", "3");
+    same_file(whole.text, box.text);
+    LOOKS(box.text, "--photons", "33333", "--keep");
+    LOOKS(box.text, "--photons", "100000", "--resume");
+    same_file(whole.text, box.text);
+
+    /* interrupted while it looks: nothing but that is missing, and going on makes up for it */
+#define MANY "bake", lens, "-o", box.text, "--pilot", "30000", "--trees", "4", "--cells", "1e5", "--photons", "100000", "--looks"
+    const pid_t pid = start((const char *const[]){MANY, "32000000", NULL});
+    pause_seconds(3);
+    kill(pid, SIGINT);
+    o = finish(pid);
+    assert_int_equal(o.code, 130);
+    release(&o);
+    assert_true(exists(part.text));
+    o = RUN("info", box.text, "--json");
+    assert_int_equal(o.code, 0);
+    j = json_loads(o.out, 0, NULL);
+    assert_true(json_is_null(json_object_get(j, "trees")));
+    json_decref(j);
+    release(&o);
+    EXPECT(RUN(MANY, "30000", "--resume"), 3, "settings");
+    unlink(part.text);
+#undef MANY
+#undef LOOKS
+}
+
 /* ----------------------------------------------------------------------------------------------------------------- MPI */
 
 #ifdef MPIRUN
@@ -533,6 +573,15 @@ static void test_mpi(void **state)
     release(&o);
     same_file(whole.text, box.text);
 
+    const char *const lens = LUMIBOX_BINARY_DIR "/models/glass-lens/glass-lens.gltf";
+    BAKE_PLANNED(lens, "-o", whole.text, "--photons", "100000", "--trees", "4", "--looks", "30000");
+    o = finish(start_team((const char *const[]){lens, "-o", box.text, "--photons", "100000", "--trees", "4", "--looks", "30000", "--cells", "1e5",
+                                                "--threads", "1", "-q", NULL}));
+    if (o.code != 0)
+        fail_msg("exit code %d: %s", o.code, o.err);
+    release(&o);
+    same_file(whole.text, box.text);
+
     /* a search for an error, two bakes of it at least, one after the other */
     o = RUN("bake", globe, "-o", whole.text, "--error", "4%", "--cells", "1e5", "--effects", "all");
     assert_true(o.code == 0 && strstr(o.err, "bake 2:"));
@@ -571,7 +620,7 @@ int main(int argc, char **argv)
         cmocka_unit_test(test_strangers_are_refused),   cmocka_unit_test(test_damaged_parts),
         cmocka_unit_test(test_more_time), cmocka_unit_test(test_interrupted_and_resumed), cmocka_unit_test(test_killed_and_resumed),
         cmocka_unit_test(test_more_photons),            cmocka_unit_test(test_trees),
-        cmocka_unit_test(test_mpi),
+        cmocka_unit_test(test_looks),                   cmocka_unit_test(test_mpi),
     };
     return cmocka_run_group_tests_name("restart", tests, setup, NULL);
 }

@@ -307,7 +307,8 @@ LMG_API lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, s
 /*
  * Looks: rays spread over the leaves of a field's trees, as many for each leaf, along which whoever knows the luminaire says what an
  * eye sees.  They divide the leaves further, and find the edges within: where emitters are seen directly, by mirrors or through
- * glass, a look has no noise, and its dark side tells as much as its bright one.  Looks are a function of the trees and the seed alone.
+ * glass, a look has no noise, and its dark side tells as much as its bright one.  Looks are a function of the trees, their
+ * number and the seed alone.
  */
 typedef struct lmg_looks lmg_looks;
 
@@ -325,9 +326,10 @@ LMG_API void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ra
  * run at once. */
 LMG_API void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*radiance)[3]);
 
-/* Grows the field's trees anew, of what was seen along all looks; each tree keeps its light.  field: the looks' own.  On failure it is as
- * before.  Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_UNSUPPORTED (larger than a file may hold), LMG_ERROR_MEMORY. */
-LMG_API lmg_result lmg_field_refine_trees(lmg_field *field, const lmg_looks *looks, lmg_error *err);
+/* Grows the field's trees anew, of what was seen along all looks; each tree keeps its light.  field: the looks' own.  Once: afterwards looks
+ * can only be destroyed.  On failure both are as before.  Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_UNSUPPORTED (larger than a file may
+ * hold), LMG_ERROR_MEMORY. */
+LMG_API lmg_result lmg_field_refine_trees(lmg_field *field, lmg_looks *looks, lmg_error *err);
 
 /* What the field has of them; zeros for none. */
 typedef struct lmg_tree_totals {
