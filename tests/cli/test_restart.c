@@ -297,13 +297,13 @@ static void test_interrupted_and_resumed(void **state)
 {
     (void)state;
     const name whole = path_of("whole.box.exr"), box = path_of("stopped.box.exr"), part = path_of("stopped.box.exr.part");
-    BAKE(spot, "-o", whole.text, "--photons", "3e6");
+    BAKE(spot, "-o", whole.text, "--photons", "9e6");
     unlink(part.text);
     int interruptions = 0, code = -1;
     random_state = 5;
     for (int i = 0; i < 5 && code != 0; ++i) {
         const double before = written(part.text);
-        const pid_t pid = start((const char *const[]){"bake", spot, "-o", box.text, "--photons", "3e6", "--cells", "1e5", "--effects", "all", "--resume",
+        const pid_t pid = start((const char *const[]){"bake", spot, "-o", box.text, "--photons", "9e6", "--cells", "1e5", "--effects", "all", "--resume",
                                                       "--checkpoint", "0.05s", i % 2 ? "--threads" : "-q", i % 2 ? "3" : NULL, NULL});
         if (wait_written(pid, part.text, before)) { /* it traces, and so it listens */
             pause_seconds(0.05 * uniform());
@@ -324,7 +324,7 @@ static void test_interrupted_and_resumed(void **state)
     }
     assert_true(interruptions >= 1);
     if (code != 0)
-        BAKE(spot, "-o", box.text, "--photons", "3e6", "--resume");
+        BAKE(spot, "-o", box.text, "--photons", "9e6", "--resume");
     same_file(whole.text, box.text);
     assert_false(exists(part.text));
 }
