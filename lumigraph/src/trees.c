@@ -238,8 +238,8 @@ double lmg_trees_luminance(const lmg_trees *trees, int root, const float at[4], 
         return sum / n;
     }
     /*
-     * What is random in a leaf is the rays in it, each adding as much wherever in the leaf it is; two trees have those in common that
-     * are in the intersection of their leaves' boxes.  Etendue goes as volume near the place.
+     * What is random in a leaf is the rays in it, each adding as much wherever in the leaf it is; two trees have those in common
+     * that are in the intersection of their leaves' boxes.  Etendue goes as volume near the place.
      *
      * Where leaves end is chance as well, since forks stand by what the rays happened to be: trees differ in it, and their mean
      * by a part in tree_count of that variance.
@@ -416,11 +416,12 @@ static size_t part(point *p, size_t count, int axis, double cut, sums *low)
 
 /* Grows a piece, whose rays have these sums: cut as far as there are rays, then taken back where leaves don't stand against the
  * piece in one. Returns its score. */
-static double grow_piece(lmg_sapling *s, point *p, size_t count, const sums *all, const lmg_tree_box *box, double etendue, uint64_t key,
-                         unsigned depth)
+static double grow_piece(lmg_sapling *s, point *p, size_t count, const sums *all, const lmg_tree_box *box, double etendue,
+                         uint64_t key, unsigned depth)
 {
     const double own = score(all, etendue, PENALTY);
-    const uint32_t me = lmg_sapling_add(s, all->flux > 0 ? all->flux / etendue : 0, all->flux > 0 ? all->squares / (all->flux * all->flux) : 0);
+    const uint32_t me =
+        lmg_sapling_add(s, all->flux > 0 ? all->flux / etendue : 0, all->flux > 0 ? all->squares / (all->flux * all->flux) : 0);
     uint8_t cut;
     double part_of;
     if (s->failed || count < FEWEST || depth + 1 >= LMG_TREE_DEPTH)

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Radiance trees as bytes: docs/format.md, radiance trees.  A fork is a byte, an edge four, a leaf two, a dark one a byte.  Bytes of
- * files are untrusted: nothing is believed but what fits.
+ * Radiance trees as bytes: docs/format.md, radiance trees.  A fork is a byte, an edge four, a leaf two, a dark one a byte.  Bytes
+ * of files are untrusted: nothing is believed but what fits.
  */
 #include "field.h"
 #include "trees.h"

@@ -3,9 +3,9 @@
  * Looks: rays along which somebody says what an eye sees, and trees grown of them.
  *
  * They are drawn from the leaves of the photons' trees, as many for each leaf.  Leaves are small where light is strong or sharp, so
- * looks are dense there; a look's weight is the etendue that it stands for, one over the density of looks of all trees together.  Each
- * tree keeps its forks and divides its leaves further, as a regression tree does [breiman1984]: by what is seen, not by how many rays
- * there are.  Errors of the mean of a leaf are those of a mean, small where all looks see the same.
+ * looks are dense there; a look's weight is the etendue that it stands for, one over the density of looks of all trees together.
+ * Each tree keeps its forks and divides its leaves further, as a regression tree does [breiman1984]: by what is seen, not by how
+ * many rays there are.  Errors of the mean of a leaf are those of a mean, small where all looks see the same.
  */
 #include "etendue.h"
 #include "field.h"
@@ -61,7 +61,8 @@ lmg_result lmg_looks_create(const lmg_field *field, size_t count, uint64_t seed,
     *out = NULL;
     const lmg_trees *trees = field ? field->trees : NULL;
     if (!trees || trees->looks > 0 || count < 1)
-        return lmg_fail(err, LMG_ERROR_ARGUMENT, "looks: need a field with trees that are grown of photons alone, and 1 look or more");
+        return lmg_fail(err, LMG_ERROR_ARGUMENT,
+                        "looks: need a field with trees that are grown of photons alone, and 1 look or more");
     lmg_looks *made = calloc(1, sizeof *made);
     bool done = made != NULL;
     if (done) {
@@ -196,15 +197,16 @@ void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*r
 /* ------------------------------------------------------------------------------------------------------------- growing */
 
 /*
- * The squared error of a tree is, but for what all have in common, minus the sum over its pieces of etendue times the squared mean, less
- * twice the variance of the mean.  Forks and edges have been chosen among several, which makes them look better than they are, so
- * variances count more: with 4 times trees have three times the leaves and are no better (docs/accuracy.md).  Edges are looked for
- * hardest, and where looks have noise they find it (NOISY_EDGE_PENALTY: with the variance of a photon).
+ * The squared error of a tree is, but for what all have in common, minus the sum over its pieces of etendue times the squared mean,
+ * less twice the variance of the mean.  Forks and edges have been chosen among several, which makes them look better than they are,
+ * so variances count more: with 4 times trees have three times the leaves and are no better (docs/accuracy.md).  Edges are looked
+ * for hardest, and where looks have noise they find it (NOISY_EDGE_PENALTY: with the variance of a photon).
  */
 static const double PENALTY = 8, EDGE_PENALTY = 10, NOISY_EDGE_PENALTY = 20;
 /* Relative variance of a look: at least, where all is even; and where looks are too few to tell it. */
 static const double LEAST_SPREAD = 0.01, UNKNOWN_SPREAD = 100;
-/* How certain a dark leaf is, in photons: cuts were chosen so that none is in it, and the leaves beside it hold a little more than they have. */
+/* How certain a dark leaf is, in photons: cuts were chosen so that none is in it, and the leaves beside it hold a little more than
+ * they have. */
 static const double DARK_PHOTONS = 8;
 /* A piece of fewer looks isn't divided; nor is one of fewer, or more, by an edge: it would be no plane. */
 enum { FEWEST = 3, FEWEST_FOR_EDGE = 12, MOST_FOR_EDGE = 4000 };
@@ -243,8 +245,8 @@ static sums rest(const sums *all, const sums *part)
                   all->luminance - part->luminance, all->squares - part->squares};
 }
 
-/* Variance of the mean.  Looks that all see the same may be lucky: what one more might have seen is added, the mean or what all looks
- * leave open; usual: variance of a look. */
+/* Variance of the mean.  Looks that all see the same may be lucky: what one more might have seen is added, the mean or what all
+ * looks leave open; usual: variance of a look. */
 static double variance_of(const sums *s, double usual)
 {
     const double mean = s->luminance / s->weight, spread = fmax(s->squares / s->weight - mean * mean, 0);
@@ -270,7 +272,8 @@ typedef struct piece {
 } piece;
 
 /* Weights and weighted luminances below each of four cuts, and of all; every step-th look is looked at. */
-LMG_WIDE static void sums_below(const look *l, size_t count, size_t step, const double cut[4], double weight[5], double luminance[5])
+LMG_WIDE static void sums_below(const look *l, size_t count, size_t step, const double cut[4], double weight[5],
+                                double luminance[5])
 {
     const lmg_double4 at = {cut[0], cut[1], cut[2], cut[3]};
     lmg_double4 weights = {0}, luminances = {0};
@@ -291,8 +294,8 @@ LMG_WIDE static void sums_below(const look *l, size_t count, size_t step, const 
     }
 }
 
-/* The fork of a piece: the axis whose cut, by chance somewhere in the middle half, brings the most; -1: none has looks on both sides.  *below:
- * etendue of the half below the cut. */
+/* The fork of a piece: the axis whose cut, by chance somewhere in the middle half, brings the most; -1: none has looks on both
+ * sides.  *below: etendue of the half below the cut. */
 static int choose_axis(const lmg_slab *slab, const piece *p, uint8_t *chosen, double *below)
 {
     uint8_t cuts[4];
@@ -318,8 +321,8 @@ static int choose_axis(const lmg_slab *slab, const piece *p, uint8_t *chosen, do
     lmg_tree_box half = p->box;
     half.hi[axis] = at[axis];
     *chosen = cuts[axis];
-    *below = axis < 2 ? p->etendue * (at[axis] - p->box.lo[axis]) / (p->box.hi[axis] - p->box.lo[axis])
-                      : lmg_tree_etendue(slab, &half);
+    *below =
+        axis < 2 ? p->etendue * (at[axis] - p->box.lo[axis]) / (p->box.hi[axis] - p->box.lo[axis]) : lmg_tree_etendue(slab, &half);
     return *below > 0 && *below < p->etendue ? axis : -1;
 }
 
@@ -359,8 +362,8 @@ static void try_normal(const piece *p, size_t step, const int normal[4], edge *b
     const double scale = LMG_EDGE_CUTS / range;
     for (size_t i = 0; i < p->count; i += step) {
         const float *at = p->looks[i].at;
-        const double y = start + slope[0] * (double)at[0] + slope[1] * (double)at[1] + slope[2] * (double)at[2] +
-                         slope[3] * (double)at[3];
+        const double y =
+            start + slope[0] * (double)at[0] + slope[1] * (double)at[1] + slope[2] * (double)at[2] + slope[3] * (double)at[3];
         const int b = (int)fmin(fmax(y * scale, 0), LMG_EDGE_CUTS - 1);
         add_look(&bin[b], &p->looks[i]);
     }
@@ -381,8 +384,8 @@ static void try_normal(const piece *p, size_t step, const int normal[4], edge *b
     }
 }
 
-/* The best edge of a piece, with the score -INFINITY if there is none.  Luminance grows fastest along an edge's normal: the regression
- * of luminance on place tells it, a little too blunt or too sharp. */
+/* The best edge of a piece, with the score -INFINITY if there is none.  Luminance grows fastest along an edge's normal: the
+ * regression of luminance on place tells it, a little too blunt or too sharp. */
 static edge choose_edge(const lmg_slab *slab, const piece *p)
 {
     edge best = {.score = -INFINITY};
@@ -448,8 +451,8 @@ static double set_edge(lmg_sapling *s, uint32_t me, const edge *e, double etendu
         lmg_sapling_add(s, mean, mean > 0 ? variance_of(&e->side[k], usual) / (mean * mean) : 0);
     }
     if (!s->failed)
-        s->tree->nodes[me] = (lmg_tree_node){
-        .second = me + 2, .axis = LMG_EDGE, .cut = (uint8_t)e->cut, .code = lmg_edge_code(e->normal)};
+        s->tree->nodes[me] =
+            (lmg_tree_node){.second = me + 2, .axis = LMG_EDGE, .cut = (uint8_t)e->cut, .code = lmg_edge_code(e->normal)};
     return light;
 }
 
@@ -460,14 +463,15 @@ static double mean_of(const sums *all, const piece *p)
     return all->count > 0 ? (all->luminance + p->before * missing) / (all->weight + missing) : p->before;
 }
 
-/* Grows a piece, whose looks have these sums: cut as far as there are looks, then taken back where the halves don't stand against the
- * piece in one, or in two along an edge.  Returns its score; *light: that of its leaves. */
+/* Grows a piece, whose looks have these sums: cut as far as there are looks, then taken back where the halves don't stand against
+ * the piece in one, or in two along an edge.  Returns its score; *light: that of its leaves. */
 static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *light)
 {
     const double mean = mean_of(all, p);
     const double own = score(all, mean, p->etendue, PENALTY, p->usual);
     *light = mean * p->etendue;
-    const uint32_t me = lmg_sapling_add(s, mean, all->count > 0 ? mean > 0 ? variance_of(all, p->usual) / (mean * mean) : 0 : p->variance);
+    const uint32_t me =
+        lmg_sapling_add(s, mean, all->count > 0 ? mean > 0 ? variance_of(all, p->usual) / (mean * mean) : 0 : p->variance);
     if (s->failed || all->count < FEWEST || p->depth + 1 >= LMG_TREE_DEPTH)
         return own;
     const double average = all->luminance / all->weight;
@@ -565,8 +569,8 @@ static void measure_noise(const lmg_tree *was, uint32_t node, const piece *p, no
     out->square += all.weight * (mean * mean - variance / many);
 }
 
-/* Goes down a tree as it was, whose forks stay, and grows its leaves.  spread: relative variance of a look, of all leaves together: one
- * leaf's own goes with its mean, and would draw the mean down. */
+/* Goes down a tree as it was, whose forks stay, and grows its leaves.  spread: relative variance of a look, of all leaves together:
+ * one leaf's own goes with its mean, and would draw the mean down. */
 static void grow_from(lmg_sapling *s, const lmg_tree *was, const double *etendue, uint32_t node, const piece *p, double spread)
 {
     const lmg_tree_node *n = &was->nodes[node];
@@ -583,8 +587,8 @@ static void grow_from(lmg_sapling *s, const lmg_tree *was, const double *etendue
         grow_piece(s, &here, &all, &light);
         if (s->failed || all.count == 0)
             return;
-        /* looks divide the leaf's light; how much there is, photons tell as well, each as far as it is certain: as photons that are to
-         * be expected, since those that are there go with what they tell */
+        /* looks divide the leaf's light; how much there is, photons tell as well, each as far as it is certain: as photons that are
+         * to be expected, since those that are there go with what they tell */
         const double looks = all.weight * all.weight / all.weights2 / spread, mean = mean_of(&all, &here);
         double photons = here.before > 0 ? 1 / here.variance : DARK_PHOTONS;
         double both = (looks * mean + photons * here.before) / (looks + photons);

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
  * Radiance trees: they keep the light, are sharper than cells and sharper still by looks, know their noise, come back from files as
- * they were, and survive damaged bytes.  Seeds are fixed, so that a run is a fact.  The lamp is a formula: a Lambertian disc whose light ends sharply at
- * 20 degrees, so that radiance is one number within edges in all four dimensions and 0 beyond them.
+ * they were, and survive damaged bytes.  Seeds are fixed, so that a run is a fact.  The lamp is a formula: a Lambertian disc whose
+ * light ends sharply at 20 degrees, so that radiance is one number within edges in all four dimensions and 0 beyond them.
  */
 #include "box_fixture.h"
 #include "field.h"
@@ -382,8 +382,8 @@ static void test_standard_errors(void **state)
     }
 }
 
-/* An eye that sees the disc: edges, and errors far below those of photons; one that sees it with much noise does no harm.  The light
- * stays. */
+/* An eye that sees the disc: edges, and errors far below those of photons; one that sees it with much noise does no harm.  The
+ * light stays. */
 static void test_looks(void **state)
 {
     (void)state;
@@ -964,10 +964,10 @@ static void test_impossible_edges(void **state)
     } CASES[] = {
         {{1, 0x7e, 0x77, 15, 0, 100, 3}, 7, LMG_OK},
         {{1, 0x7e, 0x77, 15, 100, 3, 100, 3}, 8, LMG_OK},
-        {{1, 0x77, 0x77, 15, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                /* no normal */
-        {{1, 0x7f, 0x77, 15, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                /* one beyond 7 */
-        {{1, 0x7e, 0x77, 31, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                /* nothing beyond it */
-        {{1, 0x7e, 0x77, 15, 0x80, 0, 100, 3, 0}, 9, LMG_ERROR_FILE_FORMAT},       /* a fork below */
+        {{1, 0x77, 0x77, 15, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                   /* no normal */
+        {{1, 0x7f, 0x77, 15, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                   /* one beyond 7 */
+        {{1, 0x7e, 0x77, 31, 0, 100, 3}, 7, LMG_ERROR_FILE_FORMAT},                   /* nothing beyond it */
+        {{1, 0x7e, 0x77, 15, 0x80, 0, 100, 3, 0}, 9, LMG_ERROR_FILE_FORMAT},          /* a fork below */
         {{1, 0x7e, 0x77, 15, 0, 1, 0x7e, 0x77, 15, 0, 0}, 11, LMG_ERROR_FILE_FORMAT}, /* an edge below */
         {{1, 0x7e, 0x77, 15, 0, 100}, 6, LMG_ERROR_FILE_FORMAT},
     };
@@ -987,7 +987,8 @@ static void test_impossible_edges(void **state)
 static void test_codes(void **state)
 {
     (void)state;
-    assert_true(lmg_leaf_code(0, 1) == 0 && lmg_leaf_code(-1, 1) == 0 && lmg_leaf_code(NAN, 1) == 0 && lmg_leaf_code(1e-30, 1) == 0);
+    assert_true(lmg_leaf_code(0, 1) == 0 && lmg_leaf_code(-1, 1) == 0 && lmg_leaf_code(NAN, 1) == 0 &&
+                lmg_leaf_code(1e-30, 1) == 0);
     assert_true(lmg_leaf_part(0) == 0 && lmg_leaf_variance(0) == 0 && lmg_leaf_part(lmg_leaf_code(1, 1)) == 1);
     for (unsigned code = LMG_LEAF_DARKEST << 4; code <= (LMG_LEAF_BRIGHTEST << 4 | 15); code++)
         assert_int_equal(lmg_leaf_code(lmg_leaf_part((uint16_t)code), lmg_leaf_variance((uint16_t)code)), code);
