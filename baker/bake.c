@@ -37,8 +37,8 @@ static const double CELLS_PER_PHOTON = 16;
 /* Rays for trees are traced once more in rounds of so many photons, so that Ctrl-C is heard. */
 static const uint64_t TREE_ROUND = 200000;
 /* Seconds of a processor, about, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; and
- * the most that trees take of a bake by time. */
-static const double TREE_SECONDS = 3.2e-7, LOOK_TREE_SECONDS = 4.5e-7, LOOK_SECONDS = 1.2e-6, MOST_FOR_TREES = 0.5;
+ * the most that trees, and looks alone, take of a bake by time. */
+static const double TREE_SECONDS = 3.2e-7, LOOK_TREE_SECONDS = 4.5e-7, LOOK_SECONDS = 1.2e-6, MOST_FOR_TREES = 0.5, MOST_FOR_LOOKS = 0.4;
 /* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
 static const double LOOKS_PER_PHOTON = 2;
 /* Variance of a look over that of a photon, beyond which looks aren't worth their time: with 18 the opal globe's trees are a little worse. */
@@ -286,7 +286,7 @@ static double pilot_rate(const bake *b)
 }
 
 /* How many looks the trees are grown of, at most: as many as are asked for, none where an eye that looks into the lamp sees nothing or too
- * much noise, and no more than half of a bake by time can trace. */
+ * much noise, and no more than a part of a bake by time can trace. */
 static void decide_looks(bake *b, double seconds)
 {
     const bake_options *o = b->options;
@@ -325,7 +325,7 @@ static void decide_looks(bake *b, double seconds)
     else
         b->most_looks = BAKE_MOST_LOOKS;
     if (b->most_looks > 0 && o->photons == 0)
-        b->most_looks = (uint64_t)fmin((double)b->most_looks, MOST_FOR_TREES * seconds / look_seconds(o, pilot_rate(b)));
+        b->most_looks = (uint64_t)fmin((double)b->most_looks, MOST_FOR_LOOKS * seconds / look_seconds(o, pilot_rate(b)));
 }
 
 /* Photons that the trees are grown of, at most. */
@@ -414,12 +414,8 @@ static lmg_result grow_trees(bake *b, lmg_field *field, lmg_error *err)
     if (result == LMG_OK && !r->interrupted && (looked || !stopped(b)))
         return LMG_OK;
     lmg_field_grow_trees(field, NULL, 0, 0, NULL);
-    if (result != LMG_OK) {
-        snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", why.message);
-        return LMG_OK;
-    }
-    snprintf(r->no_trees_why, sizeof(r->no_trees_why), "interrupted");
-    if (r->interrupted)
+    snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", result != LMG_OK ? why.message : "interrupted");
+    if (result != LMG_OK || r->interrupted)
         return LMG_OK;
     r->interrupted = true;
     return write_checkpoint(b, err);
@@ -793,7 +789,7 @@ static double trees_share(const bake *b, double seconds)
     const double photons = fmin(rate * seconds, (double)photons_for_trees(b)) * turns * TREE_SECONDS / seconds;
     /* of each second so much goes to the looks of the photons that the rest traces, as long as there are no more than the most */
     const double each = look_seconds(o, rate), looks = LOOKS_PER_PHOTON * rate * each;
-    return fmin(photons + fmin(looks / (1 + looks), (double)b->most_looks * each / seconds), MOST_FOR_TREES + 0.1);
+    return fmin(photons + fmin(looks / (1 + looks), (double)b->most_looks * each / seconds), MOST_FOR_TREES);
 }
 
 static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
