@@ -424,20 +424,34 @@ static edge choose_edge(const lmg_slab *slab, const piece *p)
     return best;
 }
 
-/* Looks below a cut to the front; how many, and their sums. */
-static size_t part(look *l, size_t count, int axis, double cut, sums *low)
+static sums sums_of(const piece *p)
 {
+    sums all = {0};
+    for (size_t i = 0; i < p->count; i++)
+        add_look(&all, &p->looks[i]);
+    return all;
+}
+
+/* Halves of a piece, the looks below the cut to the front; etendue isn't set. */
+static void halve(const piece *p, int axis, uint8_t chosen, piece half[2])
+{
+    const double cut = lmg_tree_cut(&p->box, axis, chosen);
     size_t below = 0;
-    *low = (sums){0};
-    for (size_t i = 0; i < count; i++) {
-        const look here = l[i];
-        if ((double)here.at[axis] < cut) {
-            add_look(low, &here);
-            l[i] = l[below];
-            l[below++] = here;
+    for (size_t i = 0; i < p->count; i++)
+        if ((double)p->looks[i].at[axis] < cut) {
+            const look here = p->looks[i];
+            p->looks[i] = p->looks[below];
+            p->looks[below++] = here;
         }
+    half[0] = half[1] = *p;
+    half[0].count = below;
+    half[1].looks = p->looks + below;
+    half[1].count = p->count - below;
+    half[0].box.hi[axis] = half[1].box.lo[axis] = cut;
+    for (int k = 0; k < 2; k++) {
+        half[k].key = lmg_next_key(p->key ^ (uint64_t)(k + 1));
+        half[k].depth++;
     }
-    return below;
 }
 
 /* Returns the light of both sides. */
@@ -475,7 +489,7 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     if (s->failed || all->count < FEWEST || p->depth + 1 >= LMG_TREE_DEPTH)
         return own;
     const double average = all->luminance / all->weight;
-    if (all->squares / all->weight - average * average <= 1e-6 * all->squares / all->weight) /* all see the same */
+    if (all->squares / all->weight - average * average <= 1e-6 * all->squares / all->weight) /* all see the same, but for rounding */
         return own;
     const edge e = choose_edge(s->slab, p);
     uint8_t cut = 0;
@@ -483,26 +497,18 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     uint32_t second = 0;
     const int axis = choose_axis(s->slab, p, &cut, &part_of);
     if (axis >= 0) {
-        sums of[2];
-        piece half[2] = {*p, *p};
-        half[0].box.hi[axis] = half[1].box.lo[axis] = lmg_tree_cut(&p->box, axis, cut);
-        half[0].count = part(p->looks, p->count, axis, half[0].box.hi[axis], &of[0]);
-        half[1].looks = p->looks + half[0].count;
-        half[1].count = p->count - half[0].count;
+        piece half[2];
+        halve(p, axis, cut, half);
         half[0].etendue = part_of;
         half[1].etendue = p->etendue - part_of;
-        /* anew, since a difference would keep what rounding left of looks that aren't there */
-        of[1] = (sums){0};
-        for (size_t i = 0; i < half[1].count; i++)
-            add_look(&of[1], &half[1].looks[i]);
         kept = 0;
         for (int k = 0; k < 2; k++) {
-            half[k].key = lmg_next_key(p->key ^ (uint64_t)(k + 1));
-            half[k].depth++;
             half[k].before = mean;
             half[k].variance = (double)s->variance[me];
+            const sums of =
+                sums_of(&half[k]); /* not a difference, which would keep what rounding left of looks that aren't there */
             second = s->tree->count;
-            kept += grow_piece(s, &half[k], &of[k], &light_of[k]);
+            kept += grow_piece(s, &half[k], &of, &light_of[k]);
         }
     }
     if (s->failed)
@@ -520,30 +526,6 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     return kept;
 }
 
-/* Halves of a piece at a fork of the tree as it was. */
-static void halve(const lmg_tree_node *fork, const piece *p, piece half[2])
-{
-    const double cut = lmg_tree_cut(&p->box, fork->axis, fork->cut);
-    sums low;
-    half[0] = half[1] = *p;
-    half[0].count = part(p->looks, p->count, fork->axis, cut, &low);
-    half[1].looks = p->looks + half[0].count;
-    half[1].count = p->count - half[0].count;
-    half[0].box.hi[fork->axis] = half[1].box.lo[fork->axis] = cut;
-    for (int k = 0; k < 2; k++) {
-        half[k].key = lmg_next_key(p->key ^ (uint64_t)(k + 1));
-        half[k].depth++;
-    }
-}
-
-static sums sums_of(const piece *p)
-{
-    sums all = {0};
-    for (size_t i = 0; i < p->count; i++)
-        add_look(&all, &p->looks[i]);
-    return all;
-}
-
 /* Variance of looks within leaves, and squared luminance, both times etendue. */
 typedef struct noise {
     double variance, square;
@@ -554,7 +536,7 @@ static void measure_noise(const lmg_tree *was, uint32_t node, const piece *p, no
     const lmg_tree_node *n = &was->nodes[node];
     if (n->axis != LMG_LEAF) {
         piece half[2];
-        halve(n, p, half);
+        halve(p, n->axis, n->cut, half);
         measure_noise(was, node + 1, &half[0], out);
         measure_noise(was, n->second, &half[1], out);
         return;
@@ -605,7 +587,7 @@ static void grow_from(lmg_sapling *s, const lmg_tree *was, const double *etendue
     const uint32_t me = lmg_sapling_add(s, 0, 0);
     piece half[2];
     uint32_t second = 0;
-    halve(n, p, half);
+    halve(p, n->axis, n->cut, half);
     for (int k = 0; k < 2 && !s->failed; k++) {
         second = s->tree->count;
         grow_from(s, was, etendue, k == 0 ? node + 1 : n->second, &half[k], spread);

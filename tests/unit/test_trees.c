@@ -407,7 +407,7 @@ static void test_looks(void **state)
         assert_true(of_looks < (c == 0 ? 0.5 : 0.65) * of_photons);
         assert_near(inside, 1, 0.01);
         assert_true(edges > 100);
-        assert_near(light_of_root(field, 3, 0), light, 2e-6 * light);
+        assert_near(light_of_root(field, 3, 0), light, 1e-6 * light);
 
         grow(field, rays, RAYS, 8);
         refine(field, 100000, 100000, 5, 20);
@@ -415,7 +415,7 @@ static void test_looks(void **state)
         print_message("looks with the variance of 20 photons: %.3f, mean inside %.4f\n", of_noise, inside);
         assert_true(of_noise < 1.1 * of_photons);
         assert_near(inside, before, 0.02);
-        assert_near(light_of_root(field, 3, 0), light, 2e-6 * light);
+        assert_near(light_of_root(field, 3, 0), light, 1e-6 * light);
         static const size_t FEW[] = {1, 100, 2000};
         for (int noisy = 0; noisy < 2; noisy++)
             for (size_t n = 0; n < 3; n++) {
@@ -489,7 +489,8 @@ static void test_edges(void **state)
             below += lmg_edge_below(&edge, &box, at);
         }
         const double share = lmg_edge_share(normal, cut);
-        assert_near(below / POINTS, share, 4.5 * sqrt(share * (1 - share) / POINTS) + 1e-6);
+        /* standard errors of counting: 200 trials keep to 4.5 of them with a chance of 0.999 */
+        assert_near(below / POINTS, share, 4.5 * sqrt(share * (1 - share) / POINTS));
         assert_true(cut == 0 || share > lmg_edge_share(normal, cut - 1));
     }
 }
@@ -632,7 +633,7 @@ static void test_asked_for(void **state)
     lmg_looks_destroy(looks);
     grow(field, rays, RAYS, LMG_MOST_TREES);
     refine(field, 1, 1, 1, 0);
-    assert_near(light_of_root(field, 5, 0), 2.5 * light, 2e-6 * light);
+    assert_near(light_of_root(field, 5, 0), 2.5 * light, 1e-6 * light);
     assert_int_equal(lmg_looks_create(field, 10, 1, &looks, NULL), LMG_ERROR_ARGUMENT); /* refined already */
 
     grow(field, rays, RAYS, 0);
@@ -998,8 +999,8 @@ static void test_codes(void **state)
         const double back = lmg_leaf_variance(lmg_leaf_code(0.5, v));
         assert_true(back / v < 1.4143 && v / back < 1.4143);
     }
-    assert_near(lmg_leaf_variance(lmg_leaf_code(0.5, 1e9)), 4, 1e-9);
-    assert_near(lmg_leaf_variance(lmg_leaf_code(0.5, 0)), 4 / 32768.0, 1e-9);
+    assert_true(lmg_leaf_variance(lmg_leaf_code(0.5, 1e9)) == 4); /* powers of two are exact */
+    assert_true(lmg_leaf_variance(lmg_leaf_code(0.5, 0)) == 4 / 32768.0);
 }
 
 int main(void)
