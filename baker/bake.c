@@ -5,6 +5,7 @@
  */
 #include "bake.h"
 
+#include "bake_trees.h"
 #include "parallel.h"
 #include "part.h"
 #include "receiver.h"
@@ -34,16 +35,6 @@ static const double DEFAULT_SECONDS = 60, DEFAULT_CHECKPOINT_SECONDS = 60;
  * asked for, no more than a lamp's near field needs. */
 static const uint64_t DEFAULT_CELLS = 4000000, MOST_CELLS = 64000000;
 static const double CELLS_PER_PHOTON = 16;
-/* Rays for trees are traced once more in rounds of so many photons, so that Ctrl-C is heard. */
-static const uint64_t TREE_ROUND = 200000;
-/* Seconds of a processor, about, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; and
- * the most that trees, and looks alone, take of a bake by time. */
-static const double TREE_SECONDS = 3.2e-7, LOOK_TREE_SECONDS = 4.5e-7, LOOK_SECONDS = 1.2e-6, MOST_FOR_TREES = 0.5, MOST_FOR_LOOKS = 0.4;
-/* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
-static const double LOOKS_PER_PHOTON = 2;
-/* Variance of a look over that of a photon, beyond which looks aren't worth their time: with 18 the opal globe's trees are a little worse. */
-static const double MOST_LOOK_NOISE = 0.5;
-static const uint64_t NOISE_PHOTONS = 8192;
 /* Receiver that the noise is told on. */
 static const uint32_t NOISE_PIXELS = 32;
 
@@ -177,10 +168,9 @@ typedef struct bake {
     bake_source *tracer_of_all; /* with every effect of the model */
     bake_source *tracer;        /* with those that the plan simulates */
     bake_ray_list *pilot; /* NULL when resumed */
-    bake_ray_list *kept;  /* rays of the first photons, for trees; NULL: none wanted, or they have to be traced again */
     bake_tally pilot_tally;
     double gather_share; /* of the time, that gathering will take */
-    uint64_t most_looks; /* for trees */
+    bake_trees trees;
     bake_part *part;
     bake_part *resume; /* what part is to become; NULL when it has */
     bake_report *report;
@@ -273,111 +263,6 @@ static lmg_result measure_bias(bake *b, const lmg_field *field, lmg_error *err)
     return result == LMG_OK ? bake_bias_measure(field, rays, count, &b->report->bias, err) : result;
 }
 
-/* Seconds that a look takes with all that hangs on it; rate: photons per second. */
-static double look_seconds(const bake_options *o, double rate)
-{
-    const double threads = bake_thread_count(o->threads), turns = ceil(o->trees / fmin(threads, o->trees));
-    return 1 / rate + LOOK_SECONDS / threads + turns * LOOK_TREE_SECONDS;
-}
-
-static double pilot_rate(const bake *b)
-{
-    return (double)b->part->pilot_photons / fmax(b->report->pilot_seconds, 1e-6);
-}
-
-/* How many looks the trees are grown of, at most: as many as are asked for, none where an eye that looks into the lamp sees nothing or too
- * much noise, and no more than a part of a bake by time can trace. */
-static void decide_looks(bake *b, double seconds)
-{
-    const bake_options *o = b->options;
-    char *why = b->report->no_looks_why;
-    const size_t room = sizeof(b->report->no_looks_why);
-    const char *obstacle;
-    b->most_looks = o->looks;
-    if (o->trees == 0 || o->looks_chosen)
-        return;
-    if (!bake_tracer_can_look(b->tracer, &obstacle)) {
-        snprintf(why, room, "rays can't be traced backwards through a lamp with %s", obstacle);
-        return;
-    }
-    bake_ray_list *list;
-    lmg_error err = {.message = ""};
-    double noise = 0;
-    lmg_result result = bake_ray_list_create(NOISE_PHOTONS, &list, &err);
-    if (result == LMG_OK) {
-        const lmg_sink sink = bake_ray_list_sink(list);
-        bake_tally tally = {0};
-        result = b->tracer->run(b->tracer, BAKE_PILOT_FIRST, NOISE_PHOTONS, o->threads, &sink, 1, &tally, &err);
-        size_t count;
-        const lmg_ray *rays = bake_ray_list_sorted(list, &count);
-        if (result == LMG_OK)
-            result = bake_ray_list_check(list, &err);
-        if (result == LMG_OK)
-            result = bake_look_noise(b->tracer, rays, count, &noise, &err);
-        bake_ray_list_destroy(list);
-    }
-    if (result != LMG_OK)
-        snprintf(why, room, "%s", err.message);
-    else if (isinf(noise))
-        snprintf(why, room, "paths traced backwards find none of this lamp's light");
-    else if (noise > MOST_LOOK_NOISE)
-        snprintf(why, room, "what an eye sees in this lamp has %.2g times the variance of a photon", noise);
-    else
-        b->most_looks = BAKE_MOST_LOOKS;
-    if (b->most_looks > 0 && o->photons == 0)
-        b->most_looks = (uint64_t)fmin((double)b->most_looks, MOST_FOR_LOOKS * seconds / look_seconds(o, pilot_rate(b)));
-}
-
-/* Photons that the trees are grown of, at most. */
-static uint64_t photons_for_trees(const bake *b)
-{
-    return b->most_looks > 0 ? BAKE_LOOKED_PHOTONS : BAKE_TREE_PHOTONS;
-}
-
-/* Has the rays of the bake's first photons kept for trees while they are traced; where others trace some of them, or have, they are traced
- * once more in the end. */
-static lmg_result keep_rays_for_trees(bake *b, lmg_error *err)
-{
-    const bake_options *o = b->options;
-    if (o->trees == 0 || b->report->resumed || o->team)
-        return LMG_OK;
-    const uint64_t all = photons_for_trees(b), most = o->photons > 0 && o->photons < all ? o->photons : all;
-    return bake_ray_list_create((size_t)most + 1024, &b->kept, err);
-}
-
-static lmg_result trace_rays_for_trees(bake *b, lmg_error *err)
-{
-    const bake_options *o = b->options;
-    const uint64_t all = b->part->tally.photons, most = photons_for_trees(b), wanted = all < most ? all : most;
-    lmg_result result = bake_ray_list_create((size_t)wanted + 1024, &b->kept, err);
-    const lmg_sink sink = b->kept ? bake_ray_list_sink(b->kept) : (lmg_sink){0};
-    bake_tally tally = {0};
-    while (result == LMG_OK && tally.photons < wanted && !stopped(b)) {
-        const uint64_t left = wanted - tally.photons;
-        result = b->tracer->run(b->tracer, o->first + tally.photons, left < TREE_ROUND ? left : TREE_ROUND, o->threads, &sink, 1, &tally, err);
-    }
-    return result;
-}
-
-/* Refines the trees by what is seen inside the lamp; they stay as they are if somebody says stop. */
-static lmg_result look_into(const bake *b, lmg_field *field, lmg_error *err)
-{
-    const bake_options *o = b->options;
-    const double photons = (double)b->part->tally.photons;
-    const uint64_t count = o->looks_chosen ? o->looks : (uint64_t)fmin(LOOKS_PER_PHOTON * photons, (double)b->most_looks);
-    lmg_looks *looks;
-    if (count == 0)
-        return LMG_OK;
-    lmg_result result = lmg_looks_create(field, (size_t)count, o->seed, &looks, err);
-    if (result != LMG_OK)
-        return result;
-    result = bake_look_run(b->tracer, looks, b->report->flux_lm, o->threads, o->stop, err);
-    if (result == LMG_OK && !stopped(b))
-        result = lmg_field_refine_trees(field, looks, err);
-    lmg_looks_destroy(looks);
-    return result;
-}
-
 static lmg_result write_checkpoint(bake *b, lmg_error *err)
 {
     if (!b->options->checkpoint)
@@ -385,40 +270,6 @@ static lmg_result write_checkpoint(bake *b, lmg_error *err)
     const lmg_result result = bake_part_write(b->part, b->options->checkpoint, err);
     b->report->checkpointed |= result == LMG_OK;
     return result;
-}
-
-/* Grows the trees, the same whoever has traced the photons.  What hinders that is told, and the box does without: a bake isn't lost for it.
- * An interruption here is one of the bake. */
-static lmg_result grow_trees(bake *b, lmg_field *field, lmg_error *err)
-{
-    const bake_options *o = b->options;
-    bake_report *r = b->report;
-    if (o->trees == 0)
-        return LMG_OK;
-    const double began = bake_clock();
-    lmg_error why = {.message = ""};
-    lmg_result result = LMG_OK;
-    if (!b->kept && !r->interrupted)
-        result = trace_rays_for_trees(b, &why);
-    if (result == LMG_OK && !r->interrupted && !stopped(b)) {
-        result = bake_ray_list_check(b->kept, &why);
-        size_t count;
-        const lmg_ray *rays = bake_ray_list_sorted(b->kept, &count);
-        if (result == LMG_OK)
-            result = lmg_field_grow_trees(field, rays, count, o->trees, &why);
-        if (result == LMG_OK && look_into(b, field, &why) != LMG_OK)
-            snprintf(r->no_looks_why, sizeof(r->no_looks_why), "%s", why.message);
-    }
-    r->trees_seconds = bake_clock() - began;
-    const bool looked = lmg_field_trees(field).looks > 0;
-    if (result == LMG_OK && !r->interrupted && (looked || !stopped(b)))
-        return LMG_OK;
-    lmg_field_grow_trees(field, NULL, 0, 0, NULL);
-    snprintf(r->no_trees_why, sizeof(r->no_trees_why), "%s", result != LMG_OK ? why.message : "interrupted");
-    if (result != LMG_OK || r->interrupted)
-        return LMG_OK;
-    r->interrupted = true;
-    return write_checkpoint(b, err);
 }
 
 /* Numbers of the photons to trace: first .. end-1. */
@@ -490,11 +341,11 @@ static lmg_result trace(bake *b, double deadline, lmg_error *err)
             team = NULL;
             continue;
         }
-        const bool keep = b->kept && first < o->first + photons_for_trees(b);
+        const bool keep = b->trees.kept && first < o->first + bake_trees_photons(&b->trees);
         if (keep) {
-            sinks[1] = bake_ray_list_sink(b->kept);
-            if (round > o->first + photons_for_trees(b) - first)
-                round = o->first + photons_for_trees(b) - first;
+            sinks[1] = bake_ray_list_sink(b->trees.kept);
+            if (round > o->first + bake_trees_photons(&b->trees) - first)
+                round = o->first + bake_trees_photons(&b->trees) - first;
         }
         lmg_result result = b->tracer->run(b->tracer, first, round, o->threads, sinks, keep ? 2 : 1, &part->tally, err);
         if (result == LMG_OK)
@@ -779,19 +630,6 @@ static lmg_result gather(bake *b, lmg_gathering **out, lmg_error *err)
     return result;
 }
 
-/* Share of the seconds that growing the trees will take. */
-static double trees_share(const bake *b, double seconds)
-{
-    const bake_options *o = b->options;
-    if (o->trees == 0)
-        return 0;
-    const double rate = pilot_rate(b), turns = ceil(o->trees / fmin(bake_thread_count(o->threads), o->trees));
-    const double photons = fmin(rate * seconds, (double)photons_for_trees(b)) * turns * TREE_SECONDS / seconds;
-    /* of each second so much goes to the looks of the photons that the rest traces, as long as there are no more than the most */
-    const double each = look_seconds(o, rate), looks = LOOKS_PER_PHOTON * rate * each;
-    return fmin(photons + fmin(looks / (1 + looks), (double)b->most_looks * each / seconds), MOST_FOR_TREES);
-}
-
 static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
 {
     const bake_options *o = b->options;
@@ -810,11 +648,11 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     if (result == LMG_OK)
         result = b->resume ? resume_part(b, err) : begin_part(b, seconds, err);
     if (result == LMG_OK) {
-        decide_looks(b, seconds);
-        result = keep_rays_for_trees(b, err);
+        b->trees = (bake_trees){.options = o, .report = r, .tracer = b->tracer, .part = b->part};
+        result = bake_trees_begin(&b->trees, seconds, err);
     }
     if (result == LMG_OK)
-        result = trace(b, o->photons ? (double)INFINITY : began + (seconds - b->part->seconds) * (1 - b->gather_share) * (1 - trees_share(b, seconds)), err);
+        result = trace(b, o->photons ? (double)INFINITY : began + (seconds - b->part->seconds) * (1 - b->gather_share) * (1 - bake_trees_share(&b->trees, seconds)), err);
     if (result != LMG_OK)
         return result;
 
@@ -837,7 +675,11 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     if (result == LMG_OK)
         result = measure_bias(b, *out, err);
     r->reconstruct_seconds = bake_clock() - reconstruct_began;
-    return result == LMG_OK ? grow_trees(b, *out, err) : result;
+    if (result != LMG_OK)
+        return result;
+    const bool interrupted = r->interrupted;
+    bake_trees_grow(&b->trees, *out);
+    return r->interrupted && !interrupted ? write_checkpoint(b, err) : LMG_OK;
 }
 
 lmg_result bake_run(const struct lum_model *model, const bake_options *options, lmg_field **out, bake_report *report,
@@ -854,7 +696,7 @@ lmg_result bake_run(const struct lum_model *model, const bake_options *options, 
     bake_part_destroy(b.part);
     bake_part_destroy(b.resume);
     bake_ray_list_destroy(b.pilot);
-    bake_ray_list_destroy(b.kept);
+    bake_ray_list_destroy(b.trees.kept);
     if (b.tracer)
         b.tracer->destroy(b.tracer);
     if (b.tracer_of_all) /* lends to the other */

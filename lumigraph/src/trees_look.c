@@ -489,7 +489,8 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     if (s->failed || all->count < FEWEST || p->depth + 1 >= LMG_TREE_DEPTH)
         return own;
     const double average = all->luminance / all->weight;
-    if (all->squares / all->weight - average * average <= 1e-6 * all->squares / all->weight) /* all see the same, but for rounding */
+    if (all->squares / all->weight - average * average <=
+        1e-6 * all->squares / all->weight) /* all see the same, but for rounding */
         return own;
     const edge e = choose_edge(s->slab, p);
     uint8_t cut = 0;

@@ -1,0 +1,35 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Radiance trees of a bake: which rays and how many looks they grow of, and what that costs of its time.  Trees are the same whoever has
+ * traced the photons and when.
+ */
+#ifndef BAKER_BAKE_TREES_H
+#define BAKER_BAKE_TREES_H
+
+#include "bake.h"
+#include "part.h"
+
+typedef struct bake_trees {
+    const bake_options *options;
+    bake_report *report;
+    bake_source *tracer;
+    const bake_part *part;
+    bake_ray_list *kept; /* rays of the first photons; NULL: none wanted, or they have to be traced again */
+    uint64_t most_looks;
+} bake_trees;
+
+/* Once there is a pilot, the first members being set: decides on looks (report->no_looks_why) and makes room for the rays of the bake's first
+ * photons, to be kept while they are traced; kept is the caller's to destroy.  Errors: LMG_ERROR_MEMORY. */
+lmg_result bake_trees_begin(bake_trees *t, double seconds, lmg_error *err);
+
+/* Photons whose rays they are grown of, at most. */
+uint64_t bake_trees_photons(const bake_trees *t);
+
+/* Share of a bake's seconds that growing them will take. */
+double bake_trees_share(const bake_trees *t, double seconds);
+
+/* Grows them, once the photons are traced.  What hinders that is told (report->no_trees_why), and the box does without: a bake isn't lost for
+ * it.  An interruption here is one of the bake: report->interrupted. */
+void bake_trees_grow(bake_trees *t, lmg_field *field);
+
+#endif
