@@ -638,9 +638,10 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     const double began = bake_clock();
     lmg_result result = plan_effects(b, seconds, err);
     const char *obstacle;
-    if (result == LMG_OK && o->trees > 0 && o->looks_chosen && o->looks > 0 && !bake_tracer_can_look(b->tracer, &obstacle))
-        result = lmg_fail(err, LMG_ERROR_UNSUPPORTED,
-                          "%s: rays can't be traced backwards through a lamp with %s; leave --looks out", b->model->path, obstacle);
+    if (result == LMG_OK && o->trees > 0 && o->looks_chosen && o->looks > 0 && !bake_tracer_can_look(b->tracer, NULL) &&
+        !bake_tracer_has_outline(b->tracer, &obstacle))
+        result = lmg_fail(err, LMG_ERROR_UNSUPPORTED, "%s: nothing can be seen of a lamp with %s by rays traced backwards; leave --looks out",
+                          b->model->path, obstacle);
     if (result == LMG_OK)
         result = bake_part_create(&b->part, err);
     if (result == LMG_OK)

@@ -37,8 +37,8 @@ typedef struct bake_options {
     double rays_per_photon; /* traced backwards for each stored photon, once they are traced (gather.h); 0 = photons only, < 0 = as
                                the pilot says */
     uint32_t trees;         /* radiance trees (lmg_field_grow_trees) of the first photons, up to BAKE_TREE_PHOTONS; 0 = none */
-    bool looks_chosen;      /* refine the trees by `looks` rays traced backwards, 0 = none; else two for each photon up to BAKE_MOST_LOOKS,
-                               where an eye that looks into the lamp sees without much noise */
+    bool looks_chosen;      /* refine the trees by `looks` rays traced backwards, 0 = none; else two for each photon up to BAKE_MOST_LOOKS.
+                               Where an eye that looks into the lamp sees much noise, they tell outlines only (lmg_look_kind) */
     uint64_t looks;
     uint64_t seed;
     bool effects_chosen;    /* simulate `effects` (bits of bake_effect) as far as the model has them, instead of what a plan says */
@@ -71,7 +71,7 @@ typedef struct bake_report {
     uint64_t refused; /* rays that the accumulator refused; counted as lost in the ledger */
     uint64_t gathered_rays; /* traced backwards */
     char no_trees_why[200]; /* why there are none though they were asked for; "" otherwise */
-    char no_looks_why[200]; /* why trees have none though nobody forbade it; "" otherwise */
+    char looks_why[200];    /* why trees have none, or see outlines only, though nobody forbade it; "" otherwise */
     char gather_why[200];   /* why so many; "" when it wasn't asked, or decided by an earlier run */
     double plan_seconds, pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds, trees_seconds;
     double noise;     /* relative standard error of illuminance, RMS over 32 x 32 pixels one size away (bake_measuring_rectangle) */
@@ -107,7 +107,7 @@ const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count); /* f
 
 /* Photons of a bake that radiance trees are grown of, at most: their rays take some 200 bytes each while that lasts, and 20 more for each thread. */
 #define BAKE_TREE_PHOTONS 4000000
-/* If looks refine the trees, they tell where to look, for which fewer do. */
+/* If looks tell radiance, photons tell where to look, for which fewer do. */
 #define BAKE_LOOKED_PHOTONS 2000000
 /* Some 30 bytes each, and as many again for each thread. */
 #define BAKE_MOST_LOOKS 8000000

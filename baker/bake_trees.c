@@ -13,20 +13,16 @@ static const uint64_t TREE_ROUND = 200000;
 static const double TREE_SECONDS = 3.2e-7, LOOK_TREE_SECONDS = 4.5e-7, LOOK_SECONDS = 1.2e-6, MOST_FOR_TREES = 0.5, MOST_FOR_LOOKS = 0.4;
 /* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
 static const double LOOKS_PER_PHOTON = 2;
-/* Variance of a look over that of a photon, beyond which looks aren't worth their time: with 18 the opal globe's trees are a little worse. */
+/* Variance of a look over that of a photon, beyond which looks tell outlines only: with 18 the opal globe's trees are a little worse. */
 static const double MOST_LOOK_NOISE = 0.5;
 static const uint64_t NOISE_PHOTONS = 8192;
+/* Outlines are worth their time where so much of radiance, by squares, lies beyond them; so many looks tell. */
+static const double LEAST_MISPLACED = 0.03;
+static const uint64_t FEW_LOOKS = 20000;
 
 static bool stopped(const bake_trees *t)
 {
     return t->options->stop && *t->options->stop;
-}
-
-/* Seconds that a look takes with all that hangs on it; rate: photons per second. */
-static double look_seconds(const bake_options *o, double rate)
-{
-    const double threads = bake_thread_count(o->threads), turns = ceil(o->trees / fmin(threads, o->trees));
-    return 1 / rate + LOOK_SECONDS / threads + turns * LOOK_TREE_SECONDS;
 }
 
 static double pilot_rate(const bake_trees *t)
@@ -34,52 +30,79 @@ static double pilot_rate(const bake_trees *t)
     return (double)t->part->pilot_photons / fmax(t->report->pilot_seconds, 1e-6);
 }
 
-/* How many looks the trees are grown of, at most: as many as are asked for, none where an eye that looks into the lamp sees nothing or too
- * much noise, and no more than a part of a bake by time can trace. */
+/* Seconds that a look takes with all that hangs on it.  A path backwards takes about as long as a photon; an outline is its first ray. */
+static double look_seconds(const bake_trees *t)
+{
+    const bake_options *o = t->options;
+    const double threads = bake_thread_count(o->threads), turns = ceil(o->trees / fmin(threads, o->trees));
+    return (t->kind == LMG_LOOK_RADIANCE ? 1 / pilot_rate(t) : 0) + LOOK_SECONDS / threads + turns * LOOK_TREE_SECONDS;
+}
+
+/* The variance of a look, of pilot photons (bake_look_noise). */
+static lmg_result pilot_noise(const bake_trees *t, double *noise, lmg_error *err)
+{
+    bake_ray_list *list;
+    lmg_result result = bake_ray_list_create(NOISE_PHOTONS, &list, err);
+    if (result != LMG_OK)
+        return result;
+    const lmg_sink sink = bake_ray_list_sink(list);
+    bake_tally tally = {0};
+    result = t->tracer->run(t->tracer, BAKE_PILOT_FIRST, NOISE_PHOTONS, t->options->threads, &sink, 1, &tally, err);
+    size_t count;
+    const lmg_ray *rays = bake_ray_list_sorted(list, &count);
+    if (result == LMG_OK)
+        result = bake_ray_list_check(list, err);
+    if (result == LMG_OK)
+        result = bake_look_noise(t->tracer, rays, count, noise, err);
+    bake_ray_list_destroy(list);
+    return result;
+}
+
+/* What looks tell of this lamp: radiance, or outlines where an eye that looks into it sees nothing or too much noise.  False: neither. */
+static bool decide_kind(bake_trees *t)
+{
+    char *why = t->report->looks_why;
+    const size_t room = sizeof(t->report->looks_why);
+    const char *obstacle;
+    double noise = 0;
+    lmg_error err = {.message = ""};
+    t->kind = LMG_LOOK_OUTLINE;
+    if (!bake_tracer_can_look(t->tracer, &obstacle))
+        snprintf(why, room, "outlines only: paths can't be traced backwards through a lamp with %s", obstacle);
+    else if (pilot_noise(t, &noise, &err) != LMG_OK)
+        snprintf(why, room, "outlines only: %s", err.message);
+    else if (isinf(noise))
+        snprintf(why, room, "outlines only: paths traced backwards find none of this lamp's light");
+    else if (noise > MOST_LOOK_NOISE)
+        snprintf(why, room, "outlines only: what an eye sees in this lamp has %.2g times the variance of a photon", noise);
+    else {
+        t->kind = LMG_LOOK_RADIANCE;
+        return true;
+    }
+    if (bake_tracer_has_outline(t->tracer, &obstacle))
+        return true;
+    snprintf(why, room, "none: nothing can be seen of a lamp with %s by rays traced backwards", obstacle);
+    return false;
+}
+
+/* How many looks the trees are grown of, at most: as many as are asked for, and no more than a part of a bake by time can trace. */
 static void decide_looks(bake_trees *t, double seconds)
 {
     const bake_options *o = t->options;
-    char *why = t->report->no_looks_why;
-    const size_t room = sizeof(t->report->no_looks_why);
-    const char *obstacle;
     t->most_looks = o->looks;
-    if (o->trees == 0 || o->looks_chosen)
+    if (o->trees == 0 || (o->looks_chosen && o->looks == 0))
         return;
-    if (!bake_tracer_can_look(t->tracer, &obstacle)) {
-        snprintf(why, room, "rays can't be traced backwards through a lamp with %s", obstacle);
+    const bool some = decide_kind(t);
+    if (o->looks_chosen)
         return;
-    }
-    bake_ray_list *list;
-    lmg_error err = {.message = ""};
-    double noise = 0;
-    lmg_result result = bake_ray_list_create(NOISE_PHOTONS, &list, &err);
-    if (result == LMG_OK) {
-        const lmg_sink sink = bake_ray_list_sink(list);
-        bake_tally tally = {0};
-        result = t->tracer->run(t->tracer, BAKE_PILOT_FIRST, NOISE_PHOTONS, o->threads, &sink, 1, &tally, &err);
-        size_t count;
-        const lmg_ray *rays = bake_ray_list_sorted(list, &count);
-        if (result == LMG_OK)
-            result = bake_ray_list_check(list, &err);
-        if (result == LMG_OK)
-            result = bake_look_noise(t->tracer, rays, count, &noise, &err);
-        bake_ray_list_destroy(list);
-    }
-    if (result != LMG_OK)
-        snprintf(why, room, "%s", err.message);
-    else if (isinf(noise))
-        snprintf(why, room, "paths traced backwards find none of this lamp's light");
-    else if (noise > MOST_LOOK_NOISE)
-        snprintf(why, room, "what an eye sees in this lamp has %.2g times the variance of a photon", noise);
-    else
-        t->most_looks = BAKE_MOST_LOOKS;
-    if (t->most_looks > 0 && o->photons == 0)
-        t->most_looks = (uint64_t)fmin((double)t->most_looks, MOST_FOR_LOOKS * seconds / look_seconds(o, pilot_rate(t)));
+    t->most_looks = some ? BAKE_MOST_LOOKS : 0;
+    if (some && o->photons == 0)
+        t->most_looks = (uint64_t)fmin((double)t->most_looks, MOST_FOR_LOOKS * seconds / look_seconds(t));
 }
 
 uint64_t bake_trees_photons(const bake_trees *t)
 {
-    return t->most_looks > 0 ? BAKE_LOOKED_PHOTONS : BAKE_TREE_PHOTONS;
+    return t->most_looks > 0 && t->kind == LMG_LOOK_RADIANCE ? BAKE_LOOKED_PHOTONS : BAKE_TREE_PHOTONS;
 }
 
 /* Has the rays of the bake's first photons kept for trees while they are traced; where others trace some of them, or have, they are traced
@@ -113,19 +136,44 @@ lmg_result bake_trees_begin(bake_trees *t, double seconds, lmg_error *err)
     return keep_rays(t, err);
 }
 
+/* Draws and traces so many looks; *looks: the caller's to destroy. */
+static lmg_result look(const bake_trees *t, const lmg_field *field, uint64_t count, lmg_looks **looks, lmg_error *err)
+{
+    const bake_options *o = t->options;
+    const lmg_result result = lmg_looks_create(field, t->kind, (size_t)count, o->seed, looks, err);
+    return result != LMG_OK ? result : bake_look_run(t->tracer, *looks, t->kind, t->report->flux_lm, o->threads, o->stop, err);
+}
+
+/* Whether outlines have anything to tell: some looks say how much of the trees' radiance lies beyond them. */
+static lmg_result is_worth_it(const bake_trees *t, const lmg_field *field, bool *worth_it, lmg_error *err)
+{
+    lmg_looks *looks = NULL;
+    const lmg_result result = look(t, field, FEW_LOOKS, &looks, err);
+    if (result == LMG_OK) {
+        const double misplaced = lmg_looks_misplaced(looks);
+        *worth_it = misplaced >= LEAST_MISPLACED;
+        if (!*worth_it)
+            snprintf(t->report->looks_why, sizeof(t->report->looks_why),
+                     "none: paths would tell outlines only, beyond which the trees have hardly any light (%.2g %%)", 100 * misplaced);
+    }
+    lmg_looks_destroy(looks);
+    return result;
+}
+
 /* Refines the trees by what is seen inside the lamp; they stay as they are if somebody says stop. */
 static lmg_result look_into(const bake_trees *t, lmg_field *field, lmg_error *err)
 {
     const bake_options *o = t->options;
     const double photons = (double)t->part->tally.photons;
     const uint64_t count = o->looks_chosen ? o->looks : (uint64_t)fmin(LOOKS_PER_PHOTON * photons, (double)t->most_looks);
-    lmg_looks *looks;
-    if (count == 0)
-        return LMG_OK;
-    lmg_result result = lmg_looks_create(field, (size_t)count, o->seed, &looks, err);
-    if (result != LMG_OK)
+    bool worth_it = true;
+    lmg_result result = LMG_OK;
+    if (count > 0 && t->kind == LMG_LOOK_OUTLINE && !o->looks_chosen)
+        result = is_worth_it(t, field, &worth_it, err);
+    if (result != LMG_OK || count == 0 || !worth_it || stopped(t))
         return result;
-    result = bake_look_run(t->tracer, looks, t->report->flux_lm, o->threads, o->stop, err);
+    lmg_looks *looks = NULL;
+    result = look(t, field, count, &looks, err);
     if (result == LMG_OK && !stopped(t))
         result = lmg_field_refine_trees(field, looks, err);
     lmg_looks_destroy(looks);
@@ -150,7 +198,7 @@ void bake_trees_grow(bake_trees *t, lmg_field *field)
         if (result == LMG_OK)
             result = lmg_field_grow_trees(field, rays, count, o->trees, &why);
         if (result == LMG_OK && look_into(t, field, &why) != LMG_OK)
-            snprintf(r->no_looks_why, sizeof(r->no_looks_why), "%s", why.message);
+            snprintf(r->looks_why, sizeof(r->looks_why), "none: %s", why.message);
     }
     r->trees_seconds = bake_clock() - began;
     const bool looked = lmg_field_trees(field).looks > 0;
@@ -169,6 +217,6 @@ double bake_trees_share(const bake_trees *t, double seconds)
     const double rate = pilot_rate(t), turns = ceil(o->trees / fmin(bake_thread_count(o->threads), o->trees));
     const double photons = fmin(rate * seconds, (double)bake_trees_photons(t)) * turns * TREE_SECONDS / seconds;
     /* of each second so much goes to the looks of the photons that the rest traces, as long as there are no more than the most */
-    const double each = look_seconds(o, rate), looks = LOOKS_PER_PHOTON * rate * each;
+    const double each = look_seconds(t), looks = LOOKS_PER_PHOTON * rate * each;
     return fmin(photons + fmin(looks / (1 + looks), (double)t->most_looks * each / seconds), MOST_FOR_TREES);
 }

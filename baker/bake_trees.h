@@ -16,9 +16,10 @@ typedef struct bake_trees {
     const bake_part *part;
     bake_ray_list *kept; /* rays of the first photons; NULL: none wanted, or they have to be traced again */
     uint64_t most_looks;
+    lmg_look_kind kind; /* of looks */
 } bake_trees;
 
-/* Once there is a pilot, the first members being set: decides on looks (report->no_looks_why) and makes room for the rays of the bake's first
+/* Once there is a pilot, the first members being set: decides on looks (report->looks_why) and makes room for the rays of the bake's first
  * photons, to be kept while they are traced; kept is the caller's to destroy.  Errors: LMG_ERROR_MEMORY. */
 lmg_result bake_trees_begin(bake_trees *t, double seconds, lmg_error *err);
 

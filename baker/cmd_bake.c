@@ -452,8 +452,8 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                                   r->trace_seconds, "gather", r->gather_seconds, "reconstruct", r->reconstruct_seconds, "trees",
                                   r->trees_seconds, "total", seconds));
     json_object_set_new(o, "trees", json_trees(field));
-    if (r->no_looks_why[0])
-        json_object_set_new(o, "no_looks_why", json_string(r->no_looks_why));
+    if (r->looks_why[0])
+        json_object_set_new(o, "looks_why", json_string(r->looks_why));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));
     json_object_set_new(o, "bytes_foretold", r->size_foretold > 0 ? json_number(r->size_foretold) : json_null());
     json_object_set_new(o, "rounding",
@@ -522,8 +522,8 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     if (trees.trees > 0) {
         printf("  trees     %u with %.3g M leaves in all, of %.3g M rays and %.3g M looks, in %.1f s\n", trees.trees,
                1e-6 * (double)trees.leaves, 1e-6 * (double)trees.rays, 1e-6 * (double)trees.looks, r->trees_seconds);
-        if (r->no_looks_why[0])
-            printf("            no looks: %s\n", r->no_looks_why);
+        if (r->looks_why[0])
+            printf("            looks: %s\n", r->looks_why);
     }
     printf("  file      %.2f MB", 1e-6 * (double)bytes);
     if (r->size_foretold > 0)

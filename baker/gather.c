@@ -128,6 +128,7 @@ enum { LOOK_ROUND = 400000 };
 typedef struct look_job {
     const bake_source *tracer;
     lmg_looks *looks;
+    lmg_look_kind kind;
     double scale; /* of the model's emission */
     atomic_bool failed;
 } look_job;
@@ -180,7 +181,9 @@ static void look_chunk(void *self, void *state, uint64_t first, uint64_t count)
     for (uint64_t done = 0; done < count && !atomic_load_explicit(&j->failed, memory_order_relaxed);) {
         const size_t n = (size_t)(count - done < ENOUGH_RAYS ? count - done : ENOUGH_RAYS);
         lmg_looks_draw(j->looks, (size_t)(first + done), n, s->ray);
-        if (!bake_tracer_look(j->tracer, s->ray, n, s->radiance, NULL)) {
+        if (j->kind == LMG_LOOK_OUTLINE)
+            bake_tracer_outline(j->tracer, s->ray, n, s->radiance);
+        else if (!bake_tracer_look(j->tracer, s->ray, n, s->radiance, NULL)) {
             atomic_store(&j->failed, true);
             return;
         }
@@ -198,10 +201,10 @@ static void look_end(void *self, void *state)
     free(state);
 }
 
-lmg_result bake_look_run(const bake_source *tracer, lmg_looks *looks, double flux, unsigned threads, const volatile sig_atomic_t *stop,
-                         lmg_error *err)
+lmg_result bake_look_run(const bake_source *tracer, lmg_looks *looks, lmg_look_kind kind, double flux, unsigned threads,
+                         const volatile sig_atomic_t *stop, lmg_error *err)
 {
-    look_job j = {.tracer = tracer, .looks = looks, .scale = flux / bake_tracer_emission(tracer)};
+    look_job j = {.tracer = tracer, .looks = looks, .kind = kind, .scale = flux / bake_tracer_emission(tracer)};
     const bake_work work = {.self = &j, .begin = look_begin, .chunk = look_chunk, .end = look_end};
     const uint64_t count = lmg_looks_count(looks);
     lmg_result result = LMG_OK;

@@ -40,8 +40,8 @@ lmg_result bake_gather_run(const bake_source *tracer, lmg_gathering *gathering, 
 lmg_result bake_look_noise(const bake_source *tracer, const lmg_ray *rays, size_t count, double *noise, lmg_error *err);
 
 /* Traces all looks (lmg_looks) along which radiance trees are grown, in rounds, so that *stop (may be NULL) is heard
- * between them and the rest stays untraced.  flux: lumens that the lamp's sources emit, after rescaling. */
-lmg_result bake_look_run(const bake_source *tracer, lmg_looks *looks, double flux, unsigned threads, const volatile sig_atomic_t *stop,
+ * between them and the rest stays untraced.  kind: theirs.  flux: lumens that the lamp's sources emit, after rescaling. */
+lmg_result bake_look_run(const bake_source *tracer, lmg_looks *looks, lmg_look_kind kind, double flux, unsigned threads, const volatile sig_atomic_t *stop,
                          lmg_error *err);
 
 #endif

@@ -452,3 +452,38 @@ bool bake_tracer_look(const bake_source *source, const lmg_ray *rays, size_t cou
         *segments += (uint64_t)j.counts.segments;
     return !atomic_load(&j.stopped);
 }
+
+bool bake_tracer_has_outline(const bake_source *source, const char **why)
+{
+    /* emission without surfaces; smoke in the space around */
+    static const bake_effect CANT[] = {BAKE_EMISSION_POINT, BAKE_EMISSION_SPOT, BAKE_EMISSION_PROFILE, BAKE_VOLUMES};
+    const uint32_t effects = bake_effects_of(((const tracer *)source)->model);
+    for (size_t i = 0; i < sizeof(CANT) / sizeof(CANT[0]); ++i)
+        if (effects & 1u << CANT[i]) {
+            if (why)
+                *why = bake_effect_name(CANT[i]);
+            return false;
+        }
+    return true;
+}
+
+void bake_tracer_outline(const bake_source *source, const lmg_ray *rays, size_t count, float (*met)[3])
+{
+    enum { TOGETHER = 64 };
+    const tracer *t = (const tracer *)source;
+    const lmg_vec3 centre = t->model->centre;
+    lmg_vec3 origin[TOGETHER], direction[TOGETHER];
+    lum_hit hit[TOGETHER];
+    for (size_t first = 0; first < count; first += TOGETHER) {
+        const size_t n = count - first < TOGETHER ? count - first : TOGETHER;
+        for (size_t i = 0; i < n; ++i) {
+            const lmg_vec3 o = rays[first + i].origin, d = rays[first + i].direction;
+            origin[i] = (lmg_vec3){o.x - centre.x, o.y - centre.y, o.z - centre.z};
+            direction[i] = (lmg_vec3){-d.x, -d.y, -d.z};
+        }
+        lum_scene_intersect_many(t->scene, n, origin, direction, hit);
+        for (size_t i = 0; i < n; ++i)
+            for (int c = 0; c < 3; ++c)
+                met[first + i][c] = hit[i].triangle != LUM_MISS;
+    }
+}

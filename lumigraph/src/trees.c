@@ -22,6 +22,9 @@ static const double PENALTY = 6;
 /* A piece of fewer rays isn't cut: its halves couldn't hold enough of them to stand. */
 enum { FEWEST = 8 };
 
+/* Parts of a box's s and t for the etendue on one side of an edge. */
+enum { EDGE_PARTS = 4 };
+
 void lmg_trees_destroy(lmg_trees *trees)
 {
     if (!trees)
@@ -72,7 +75,7 @@ static void etendues_in(const lmg_tree *tree, const lmg_slab *slab, const lmg_tr
     if (n->axis == LMG_EDGE) {
         int normal[4];
         lmg_edge_normal(n->code, normal);
-        const double whole = lmg_tree_etendue(slab, box), first = whole * lmg_edge_share(normal, n->cut);
+        const double whole = lmg_tree_etendue(slab, box), first = lmg_edge_etendue(slab, box, normal, n->cut);
         etendue[(*node)++] = first;
         etendue[(*node)++] = whole - first;
         return;
@@ -138,18 +141,16 @@ bool lmg_edge_below(const lmg_tree_node *edge, const lmg_tree_box *box, const fl
     return y < range * (edge->cut + 1) / LMG_EDGE_CUTS;
 }
 
-/* The distribution of a sum of independent numbers, each uniform from 0 to a component. */
-double lmg_edge_share(const int normal[4], unsigned cut)
+/* The distribution of a sum of independent numbers, each uniform from 0 to a part. */
+static double share_below(const double parts[4], double at)
 {
-    int part[4], count = 0;
-    double range = 0, divisor = 1, sum = 0;
+    double part[4], divisor = 1, sum = 0;
+    int count = 0;
     for (int k = 0; k < 4; k++)
-        if (normal[k] != 0) {
-            part[count++] = abs(normal[k]);
-            range += abs(normal[k]);
-            divisor *= abs(normal[k]) * count;
+        if (parts[k] > 0) {
+            part[count++] = parts[k];
+            divisor *= parts[k] * count;
         }
-    const double at = range * (cut + 1) / LMG_EDGE_CUTS;
     for (int corner = 0; corner < 1 << count; corner++) {
         double beyond = at, sign = 1;
         for (int k = 0; k < count; k++)
@@ -163,6 +164,31 @@ double lmg_edge_share(const int normal[4], unsigned cut)
         sum += power;
     }
     return fmin(fmax(sum / divisor, 0), 1);
+}
+
+double lmg_edge_etendue(const lmg_slab *slab, const lmg_tree_box *box, const int normal[4], unsigned cut)
+{
+    /* etendue is even over the box of an aperture slab, and wherever the edge is across u and v alone; over a cube slab's it is taken
+     * as even in each of some parts of its directions */
+    const int n = slab->kind == LMG_SLAB_CUBE && (normal[2] != 0 || normal[3] != 0) ? EDGE_PARTS : 1;
+    double range = 0, parts[4], sum = 0;
+    for (int k = 0; k < 4; k++) {
+        range += abs(normal[k]);
+        parts[k] = abs(normal[k]) / (double)(k < 2 ? 1 : n);
+    }
+    const double at = range * (cut + 1) / LMG_EDGE_CUTS;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            lmg_tree_box part = *box;
+            const double s = (box->hi[2] - box->lo[2]) / n, t = (box->hi[3] - box->lo[3]) / n;
+            part.lo[2] = box->lo[2] + i * s;
+            part.hi[2] = part.lo[2] + s;
+            part.lo[3] = box->lo[3] + j * t;
+            part.hi[3] = part.lo[3] + t;
+            const double before = parts[2] * (normal[2] >= 0 ? i : n - 1 - i) + parts[3] * (normal[3] >= 0 ? j : n - 1 - j);
+            sum += lmg_tree_etendue(slab, &part) * share_below(parts, at - before);
+        }
+    return sum;
 }
 
 /* -------------------------------------------------------------------------------------------------------------- asking */

@@ -93,8 +93,8 @@ static inline uint16_t lmg_edge_code(const int normal[4])
 /* Whether a place in the box is on the first child's side. */
 bool lmg_edge_below(const lmg_tree_node *edge, const lmg_tree_box *box, const float at[4]);
 
-/* Share of the box on the first child's side. */
-double lmg_edge_share(const int normal[4], unsigned cut);
+/* Etendue of the part of the box on the first child's side, m2 sr. */
+double lmg_edge_etendue(const lmg_slab *slab, const lmg_tree_box *box, const int normal[4], unsigned cut);
 
 /*
  * A leaf's code: its luminance, 64 steps an octave below the unit (so that rounding, 0.3 % RMS, is far below noise), times 16, plus

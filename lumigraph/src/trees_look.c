@@ -30,6 +30,7 @@ typedef struct look {
 struct lmg_looks {
     const lmg_field *field;
     const lmg_trees *trees; /* the field's, which looks refine once */
+    lmg_look_kind kind;
     uint64_t seed;
     size_t count;
     look *look;
@@ -56,7 +57,8 @@ size_t lmg_looks_count(const lmg_looks *looks)
     return looks->count;
 }
 
-lmg_result lmg_looks_create(const lmg_field *field, size_t count, uint64_t seed, lmg_looks **out, lmg_error *err)
+lmg_result lmg_looks_create(const lmg_field *field, lmg_look_kind kind, size_t count, uint64_t seed, lmg_looks **out,
+                            lmg_error *err)
 {
     *out = NULL;
     const lmg_trees *trees = field ? field->trees : NULL;
@@ -66,7 +68,7 @@ lmg_result lmg_looks_create(const lmg_field *field, size_t count, uint64_t seed,
     lmg_looks *made = calloc(1, sizeof *made);
     bool done = made != NULL;
     if (done) {
-        *made = (lmg_looks){.field = field, .trees = trees, .seed = seed, .count = count};
+        *made = (lmg_looks){.field = field, .trees = trees, .kind = kind, .seed = seed, .count = count};
         made->look = calloc(count, sizeof *made->look);
         made->root = malloc(count);
         done = made->look && made->root;
@@ -189,9 +191,23 @@ void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays)
 void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*radiance)[3])
 {
     for (size_t i = 0; i < count; i++) {
-        const double y = lmg_luminance(radiance[i]);
-        looks->look[first + i].luminance = y > 0 && isfinite(y) ? (float)y : 0;
+        const double y = lmg_luminance(radiance[i]), seen = y > 0 && isfinite(y) ? y : 0;
+        looks->look[first + i].luminance = looks->kind == LMG_LOOK_OUTLINE ? seen > 0 : (float)seen;
     }
+}
+
+double lmg_looks_misplaced(const lmg_looks *looks)
+{
+    double all = 0, misplaced = 0;
+    for (size_t i = 0; i < looks->count && looks->trees; i++) {
+        const look *l = &looks->look[i];
+        if (!(l->weight > 0))
+            continue;
+        const double y = lmg_trees_luminance(looks->trees, looks->root[i], l->at, NULL), square = (double)l->weight * y * y;
+        all += square;
+        misplaced += l->luminance > 0 ? 0 : square;
+    }
+    return all > 0 ? sqrt(misplaced / all) : 0;
 }
 
 /* ------------------------------------------------------------------------------------------------------------- growing */
@@ -212,8 +228,6 @@ static const double DARK_PHOTONS = 8;
 enum { FEWEST = 3, FEWEST_FOR_EDGE = 12, MOST_FOR_EDGE = 4000 };
 /* Which cut tells most of many looks, some of them tell as well. */
 enum { LOOKED_AT = 1024 };
-/* Edges take etendue as uniform in their box: it may vary by so much at most. */
-static const double MOST_VARIATION = 1.2;
 
 /* Of looks: weights, their squares, weighted luminances and squared ones. */
 typedef struct sums {
@@ -326,21 +340,6 @@ static int choose_axis(const lmg_slab *slab, const piece *p, uint8_t *chosen, do
     return *below > 0 && *below < p->etendue ? axis : -1;
 }
 
-/* Whether etendue is about uniform in a box. */
-static bool is_even(const lmg_slab *slab, const lmg_tree_box *box)
-{
-    if (slab->kind != LMG_SLAB_CUBE)
-        return true;
-    const double lo[2] = {slab->s0, slab->t0}, size[2] = {slab->s1 - slab->s0, slab->t1 - slab->t0};
-    double least = 1, most = 1;
-    for (int k = 0; k < 2; k++) {
-        const double a = lo[k] + size[k] * box->lo[2 + k], b = lo[k] + size[k] * box->hi[2 + k];
-        most += fmax(a * a, b * b);
-        least += a > 0 ? a * a : b < 0 ? b * b : 0;
-    }
-    return most * most <= MOST_VARIATION * least * least;
-}
-
 typedef struct edge {
     int normal[4];
     unsigned cut;
@@ -386,10 +385,10 @@ static void try_normal(const piece *p, size_t step, const int normal[4], edge *b
 
 /* The best edge of a piece, with the score -INFINITY if there is none.  Luminance grows fastest along an edge's normal: the
  * regression of luminance on place tells it, a little too blunt or too sharp. */
-static edge choose_edge(const lmg_slab *slab, const piece *p)
+static edge choose_edge(const piece *p)
 {
     edge best = {.score = -INFINITY};
-    if (p->count < FEWEST_FOR_EDGE || p->count > MOST_FOR_EDGE || !is_even(slab, &p->box))
+    if (p->count < FEWEST_FOR_EDGE || p->count > MOST_FOR_EDGE)
         return best;
     const size_t step = p->count > LOOKED_AT ? p->count / LOOKED_AT : 1;
     double weight = 0, light = 0, x1[4] = {0}, x2[4] = {0}, xy[4] = {0}, slope[4], most = 0;
@@ -455,14 +454,14 @@ static void halve(const piece *p, int axis, uint8_t chosen, piece half[2])
 }
 
 /* Returns the light of both sides. */
-static double set_edge(lmg_sapling *s, uint32_t me, const edge *e, double etendue, double usual)
+static double set_edge(lmg_sapling *s, uint32_t me, const edge *e, const piece *p)
 {
     double light = 0;
-    const double share = lmg_edge_share(e->normal, e->cut);
+    const double first = lmg_edge_etendue(s->slab, &p->box, e->normal, e->cut);
     for (int k = 0; k < 2; k++) {
         const double mean = e->side[k].luminance / e->side[k].weight;
-        light += mean * etendue * (k == 0 ? share : 1 - share);
-        lmg_sapling_add(s, mean, mean > 0 ? variance_of(&e->side[k], usual) / (mean * mean) : 0);
+        light += mean * (k == 0 ? first : p->etendue - first);
+        lmg_sapling_add(s, mean, mean > 0 ? variance_of(&e->side[k], p->usual) / (mean * mean) : 0);
     }
     if (!s->failed)
         s->tree->nodes[me] =
@@ -492,7 +491,7 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     if (all->squares / all->weight - average * average <=
         1e-6 * all->squares / all->weight) /* all see the same, but for rounding */
         return own;
-    const edge e = choose_edge(s->slab, p);
+    const edge e = choose_edge(p);
     uint8_t cut = 0;
     double kept = -INFINITY, part_of, light_of[2];
     uint32_t second = 0;
@@ -519,7 +518,7 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     if (axis < 0 || !(kept > alone)) {
         s->tree->count = me + 1;
         if (has_edge)
-            *light = set_edge(s, me, &e, p->etendue, p->usual);
+            *light = set_edge(s, me, &e, p);
         return alone;
     }
     s->tree->nodes[me] = (lmg_tree_node){.second = second, .axis = (uint8_t)axis, .cut = cut};
@@ -552,37 +551,70 @@ static void measure_noise(const lmg_tree *was, uint32_t node, const piece *p, no
     out->square += all.weight * (mean * mean - variance / many);
 }
 
+/* Sets the light of a leaf that has been grown to pieces, nodes first and on, whose luminances add up to so much light: looks divide
+ * it; how much there is, photons tell as well, each as far as it is certain: as photons that are to be expected, since those that
+ * are there go with what they tell.  all: sums of the leaf's looks; spread: relative variance of one. */
+static void mix_light(lmg_sapling *s, uint32_t first, const piece *leaf, double light, const sums *all, double spread)
+{
+    const double looks = all->weight * all->weight / all->weights2 / spread, mean = mean_of(all, leaf);
+    double photons = leaf->before > 0 ? 1 / leaf->variance : DARK_PHOTONS;
+    double both = (looks * mean + photons * leaf->before) / (looks + photons);
+    if (leaf->before > 0) {
+        photons *= both / leaf->before;
+        both = (looks * mean + photons * leaf->before) / (looks + photons);
+    }
+    for (uint32_t i = first; i < s->tree->count; i++)
+        s->luminance[i] = light > 0 ? s->luminance[i] * (both * leaf->etendue / light) : both;
+    if (s->tree->count == first + 1) /* a leaf still */
+        s->variance[first] = (float)(1 / (looks + photons));
+}
+
+/* The same where looks tell outlines, and only photons how much light there is; their noise is the same in all pieces. */
+static void divide_light(lmg_sapling *s, uint32_t first, const piece *leaf, double luminance, double light)
+{
+    if (!(light > 0)) { /* photons got out between looks */
+        s->tree->count = first + 1;
+        s->tree->nodes[first] = (lmg_tree_node){.axis = LMG_LEAF};
+        s->luminance[first] = luminance;
+        s->variance[first] = (float)leaf->variance;
+        return;
+    }
+    for (uint32_t i = first; i < s->tree->count; i++) {
+        const double part = s->luminance[i] * leaf->etendue / light;
+        s->luminance[i] = luminance * part;
+        s->variance[i] = part > 0 ? s->variance[i] + (float)leaf->variance : 0;
+    }
+}
+
 /* Goes down a tree as it was, whose forks stay, and grows its leaves.  spread: relative variance of a look, of all leaves together:
  * one leaf's own goes with its mean, and would draw the mean down. */
-static void grow_from(lmg_sapling *s, const lmg_tree *was, const double *etendue, uint32_t node, const piece *p, double spread)
+static void grow_from(lmg_sapling *s, lmg_look_kind kind, const lmg_tree *was, const double *etendue, uint32_t node, const piece *p,
+                      double spread)
 {
     const lmg_tree_node *n = &was->nodes[node];
     if (n->axis == LMG_LEAF) {
-        piece here = *p;
-        here.etendue = etendue[node];
-        here.before = (double)n->radiance;
-        here.variance = lmg_leaf_variance(n->code);
+        const double luminance = (double)n->radiance;
+        const bool outline = kind == LMG_LOOK_OUTLINE;
         const sums all = sums_of(p);
-        const double seen = all.count > 0 ? all.luminance / all.weight : 0, most = fmax(seen, here.before);
-        here.usual = spread * most * most;
         const uint32_t first = s->tree->count;
+        piece here = *p;
         double light;
-        grow_piece(s, &here, &all, &light);
-        if (s->failed || all.count == 0)
+        here.etendue = etendue[node];
+        here.before = outline ? 1 : luminance;
+        here.variance = lmg_leaf_variance(n->code);
+        if (all.count == 0 || (outline && !(luminance > 0))) {
+            lmg_sapling_add(s, luminance, here.variance);
             return;
-        /* looks divide the leaf's light; how much there is, photons tell as well, each as far as it is certain: as photons that are
-         * to be expected, since those that are there go with what they tell */
-        const double looks = all.weight * all.weight / all.weights2 / spread, mean = mean_of(&all, &here);
-        double photons = here.before > 0 ? 1 / here.variance : DARK_PHOTONS;
-        double both = (looks * mean + photons * here.before) / (looks + photons);
-        if (here.before > 0) {
-            photons *= both / here.before;
-            both = (looks * mean + photons * here.before) / (looks + photons);
         }
-        for (uint32_t i = first; i < s->tree->count; i++)
-            s->luminance[i] = light > 0 ? s->luminance[i] * (both * here.etendue / light) : both;
-        if (s->tree->count == first + 1) /* a leaf still */
-            s->variance[first] = (float)(1 / (looks + photons));
+        const double most = fmax(all.luminance / all.weight, here.before);
+        here.usual = spread * most * most;
+        grow_piece(s, &here, &all, &light);
+        if (s->failed)
+            return;
+        if (outline)
+            divide_light(s, first, &here, luminance, light);
+        else
+            mix_light(s, first, &here, light, &all, spread);
         return;
     }
     const uint32_t me = lmg_sapling_add(s, 0, 0);
@@ -591,7 +623,7 @@ static void grow_from(lmg_sapling *s, const lmg_tree *was, const double *etendue
     halve(p, n->axis, n->cut, half);
     for (int k = 0; k < 2 && !s->failed; k++) {
         second = s->tree->count;
-        grow_from(s, was, etendue, k == 0 ? node + 1 : n->second, &half[k], spread);
+        grow_from(s, kind, was, etendue, k == 0 ? node + 1 : n->second, &half[k], spread);
     }
     if (!s->failed)
         s->tree->nodes[me] = (lmg_tree_node){.second = second, .axis = n->axis, .cut = n->cut};
@@ -626,7 +658,7 @@ static lmg_result refine_tree(void *self, uint64_t k, void *scratch, lmg_error *
         measure_noise(was, was->first[j], &p, &n);
         const double spread = n.square > 0 ? fmax(n.variance / n.square, LEAST_SPREAD) : UNKNOWN_SPREAD;
         p.edge_penalty = EDGE_PENALTY + (NOISY_EDGE_PENALTY - EDGE_PENALTY) * fmin(spread, 1);
-        grow_from(&s, was, looks->etendue[k], was->first[j], &p, spread);
+        grow_from(&s, looks->kind, was, looks->etendue[k], was->first[j], &p, spread);
         if (!s.failed)
             lmg_sapling_set_leaves(&s, j, light);
     }

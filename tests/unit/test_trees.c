@@ -134,7 +134,7 @@ static void refine(lmg_field *field, size_t count, size_t piece, uint64_t seed, 
 {
     lmg_error err = {{0}};
     lmg_looks *looks;
-    if (lmg_looks_create(field, count, seed, &looks, &err) != LMG_OK)
+    if (lmg_looks_create(field, LMG_LOOK_RADIANCE, count, seed, &looks, &err) != LMG_OK)
         fail_msg("%s", err.message);
     assert_int_equal(lmg_looks_count(looks), count);
     lmg_ray *rays = malloc(piece * sizeof *rays);
@@ -199,11 +199,11 @@ static double light_of(const lmg_tree *tree, const lmg_slab *slab, const lmg_tre
         int normal[4];
         lmg_edge_normal(n->code, normal);
         assert_int_equal(lmg_edge_code(normal), n->code);
-        const double share = lmg_edge_share(normal, n->cut);
-        assert_true(share > 0 && share < 1 && n[1].axis == LMG_LEAF && n[2].axis == LMG_LEAF);
+        const double first = lmg_edge_etendue(slab, box, normal, n->cut);
+        assert_true(first > 0 && first < etendue && n[1].axis == LMG_LEAF && n[2].axis == LMG_LEAF);
         assert_int_equal(n->second, *node + 1);
         *node += 2;
-        return etendue * (share * (double)n[1].radiance + (1 - share) * (double)n[2].radiance);
+        return first * (double)n[1].radiance + (etendue - first) * (double)n[2].radiance;
     }
     lmg_tree_box half = *box;
     half.hi[n->axis] = lmg_tree_cut(box, n->axis, n->cut);
@@ -466,13 +466,17 @@ static void test_looks_errors(void **state)
     }
 }
 
-/* Shares of a cube on one side of an edge, against counting; the inside of an edge's first side is around a corner. */
+/* Etendue on one side of an edge, against counting; the inside of an edge's first side is around a corner.  The box of the cube slab
+ * spans a quarter of its directions, more than a leaf with an edge does. */
 static void test_edges(void **state)
 {
     (void)state;
     enum { POINTS = 20000 };
-    for (uint64_t trial = 0; trial < 200; trial++) {
+    const lmg_slab aperture = {.kind = LMG_SLAB_APERTURE, .distance = INFINITY, .u1 = 2, .v1 = 1, .s1 = 1, .t1 = 1};
+    const lmg_slab cube = {.kind = LMG_SLAB_CUBE, .distance = INFINITY, .u1 = 2, .v1 = 1, .s0 = -1, .t0 = -1, .s1 = 1, .t1 = 1};
+    for (uint64_t trial = 0; trial < 400; trial++) {
         lamp_rng g = lamp_stream(90, trial);
+        const lmg_slab *slab = trial % 2 == 0 ? &aperture : &cube;
         int normal[4] = {0}, some = 0;
         for (int k = 0; k < 4; k++)
             some += abs(normal[k] = trial % 7 == 0 && k > (int)(trial % 3) ? 0 : (int)(lamp_next(&g) * 15) - 7);
@@ -480,18 +484,22 @@ static void test_edges(void **state)
             continue;
         const unsigned cut = (unsigned)(lamp_next(&g) * (LMG_EDGE_CUTS - 1));
         const lmg_tree_node edge = {.axis = LMG_EDGE, .cut = (uint8_t)cut, .code = lmg_edge_code(normal)};
-        const lmg_tree_box box = {{0.25, 0.5, 0.125, 0}, {0.5, 0.75, 0.25, 0.5}};
-        double below = 0;
+        const lmg_tree_box box = {{0.25, 0.5, 0.5, 0}, {0.5, 0.75, 1, 0.5}};
+        double below = 0, all = 0, squares = 0;
         for (int i = 0; i < POINTS; i++) {
             float at[4];
             for (int k = 0; k < 4; k++)
                 at[k] = (float)(box.lo[k] + (box.hi[k] - box.lo[k]) * lamp_next(&g));
-            below += lmg_edge_below(&edge, &box, at);
+            const double s = 2 * (double)at[2] - 1, t = 2 * (double)at[3] - 1;
+            const double weight = slab == &cube ? 1 / ((1 + s * s + t * t) * (1 + s * s + t * t)) : 1;
+            below += lmg_edge_below(&edge, &box, at) ? weight : 0;
+            all += weight;
+            squares += weight * weight;
         }
-        const double share = lmg_edge_share(normal, cut);
-        /* standard errors of counting: 200 trials keep to 4.5 of them with a chance of 0.999 */
-        assert_near(below / POINTS, share, 4.5 * sqrt(share * (1 - share) / POINTS));
-        assert_true(cut == 0 || share > lmg_edge_share(normal, cut - 1));
+        const double whole = lmg_tree_etendue(slab, &box), share = lmg_edge_etendue(slab, &box, normal, cut) / whole;
+        /* standard errors of counting: 400 trials keep to 4.7 of them with a chance of 0.999 */
+        assert_near(below / all, share, 4.7 * sqrt(share * (1 - share) * squares) / all);
+        assert_true(cut == 0 || share * whole > lmg_edge_etendue(slab, &box, normal, cut - 1));
     }
 }
 
@@ -619,12 +627,12 @@ static void test_asked_for(void **state)
     assert_near(light_of_root(field, 5, 0), 2.5 * light, 1e-6 * light);
 
     lmg_looks *looks;
-    assert_int_equal(lmg_looks_create(NULL, 10, 1, &looks, &err), LMG_ERROR_ARGUMENT);
-    assert_int_equal(lmg_looks_create(plain, 10, 1, &looks, &err), LMG_ERROR_ARGUMENT);
+    assert_int_equal(lmg_looks_create(NULL, LMG_LOOK_RADIANCE, 10, 1, &looks, &err), LMG_ERROR_ARGUMENT);
+    assert_int_equal(lmg_looks_create(plain, LMG_LOOK_RADIANCE, 10, 1, &looks, &err), LMG_ERROR_ARGUMENT);
     assert_non_null(strstr(err.message, "trees"));
-    assert_int_equal(lmg_looks_create(field, 0, 1, &looks, NULL), LMG_ERROR_ARGUMENT);
+    assert_int_equal(lmg_looks_create(field, LMG_LOOK_RADIANCE, 0, 1, &looks, NULL), LMG_ERROR_ARGUMENT);
     lmg_looks_destroy(NULL);
-    assert_int_equal(lmg_looks_create(field, 10, 1, &looks, NULL), LMG_OK);
+    assert_int_equal(lmg_looks_create(field, LMG_LOOK_RADIANCE, 10, 1, &looks, NULL), LMG_OK);
     assert_int_equal(lmg_field_refine_trees(plain, looks, NULL), LMG_ERROR_ARGUMENT);
     assert_int_equal(lmg_field_refine_trees(NULL, looks, NULL), LMG_ERROR_ARGUMENT);
     assert_int_equal(lmg_field_refine_trees(field, NULL, NULL), LMG_ERROR_ARGUMENT);
@@ -634,7 +642,7 @@ static void test_asked_for(void **state)
     grow(field, rays, RAYS, LMG_MOST_TREES);
     refine(field, 1, 1, 1, 0);
     assert_near(light_of_root(field, 5, 0), 2.5 * light, 1e-6 * light);
-    assert_int_equal(lmg_looks_create(field, 10, 1, &looks, NULL), LMG_ERROR_ARGUMENT); /* refined already */
+    assert_int_equal(lmg_looks_create(field, LMG_LOOK_RADIANCE, 10, 1, &looks, NULL), LMG_ERROR_ARGUMENT); /* refined already */
 
     grow(field, rays, RAYS, 0);
     assert_null(field->trees);

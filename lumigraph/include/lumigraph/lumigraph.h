@@ -307,14 +307,19 @@ LMG_API lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, s
 /*
  * Looks: rays spread over the leaves of a field's trees, as many for each leaf, along which whoever knows the luminaire says what an
  * eye sees.  They divide the leaves further, and find the edges within: where emitters are seen directly, by mirrors or through
- * glass, a look has no noise, and its dark side tells as much as its bright one.  Looks are a function of the trees, their
- * number and the seed alone.
+ * glass, a look has no noise, and its dark side tells as much as its bright one.  Looks are a function of the trees, their kind and
+ * number, and the seed alone.
+ *
+ * Where what is seen has too much noise, or nobody can tell it, looks still tell outlines: whether there is anything of the luminaire
+ * along the ray at all.  These divide the light that photons have brought to a leaf among its pieces that aren't empty.
  */
+typedef enum lmg_look_kind { LMG_LOOK_RADIANCE, LMG_LOOK_OUTLINE } lmg_look_kind;
 typedef struct lmg_looks lmg_looks;
 
 /* The field, which has to have trees, is borrowed and has to stay as it is.  count: 1 or more; each takes some 30 bytes, and as many
  * again for each thread that grows trees of them.  Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_MEMORY. */
-LMG_API lmg_result lmg_looks_create(const lmg_field *field, size_t count, uint64_t seed, lmg_looks **out, lmg_error *err);
+LMG_API lmg_result lmg_looks_create(const lmg_field *field, lmg_look_kind kind, size_t count, uint64_t seed, lmg_looks **out,
+                                    lmg_error *err);
 LMG_API void lmg_looks_destroy(lmg_looks *looks); /* accepts NULL */
 LMG_API size_t lmg_looks_count(const lmg_looks *looks);
 
@@ -322,9 +327,13 @@ LMG_API size_t lmg_looks_count(const lmg_looks *looks);
  * becomes of them.  Once for each look; calls for different looks may run at once. */
 LMG_API void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays);
 
-/* What is seen along them: R,G,B, cd/m2, in the scale of the field.  Once for each look, after it was drawn; calls for different looks may
- * run at once. */
+/* What is seen along them: R,G,B, cd/m2, in the scale of the field; of outlines 0 where light is impossible, and anything above where
+ * it isn't.  Once for each look, after it was drawn; calls for different looks may run at once. */
 LMG_API void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*radiance)[3]);
+
+/* Of radiance as the trees have it, weighted with etendue, how much is where looks see none: the root of the share of its squares, 0 to
+ * 1.  Once all looks have been put. */
+LMG_API double lmg_looks_misplaced(const lmg_looks *looks);
 
 /* Grows the field's trees anew, of what was seen along all looks; each tree keeps its light.  field: the looks' own.  Once: afterwards looks
  * can only be destroyed.  On failure both are as before.  Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_UNSUPPORTED (larger than a file may
