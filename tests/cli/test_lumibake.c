@@ -265,7 +265,8 @@ static void test_trees(void **state)
     release(&o);
 }
 
-/* Looks into the lamp: two for each photon unless asked for otherwise, none where they can't be, which is told. */
+/* Looks into the lamp: two for each photon unless asked for otherwise; outlines where no path goes backwards, none where there is no
+ * surface either, both of which is told. */
 static void test_looks(void **state)
 {
     (void)state;
@@ -273,7 +274,7 @@ static void test_looks(void **state)
     static const struct {
         const char *looks, *effects;
         double count;
-    } CASES[] = {{NULL, "auto", 40000}, {"0", "auto", 0}, {"1", "auto", 1}, {"5000", "auto", 5000}, {NULL, "all", 0}, {"0", "all", 0}};
+    } CASES[] = {{NULL, "auto", 40000}, {"0", "auto", 0}, {"1", "auto", 1}, {"5000", "auto", 5000}, {NULL, "all", 40000}, {"5000", "all", 5000}, {"0", "all", 0}};
     for (size_t i = 0; i < sizeof(CASES) / sizeof(CASES[0]); ++i) {
         const char *args[20] = {"bake",     lamp,  "-o",        path,             "--photons", "20000", "--cells", "5e3",
                                 "--trees",  "4",   "--effects", CASES[i].effects, "--json"};
@@ -285,12 +286,18 @@ static void test_looks(void **state)
         assert_int_equal(o.code, 0);
         json_t *j = parse_json(o.out);
         assert_true(number_at(j, "trees", "looks") == CASES[i].count && number_at(j, "trees", "trees") == 4);
-        const char *why = json_string_value(json_object_get(j, "no_looks_why"));
-        assert_true(!CASES[i].looks && CASES[i].count == 0 ? why && strstr(why, "polarization") : !why);
+        const char *why = json_string_value(json_object_get(j, "looks_why"));
+        assert_true(CASES[i].count > 0 && strcmp(CASES[i].effects, "all") == 0 ? why && strstr(why, "outlines only") && strstr(why, "polarization") : !why);
         json_decref(j);
         release(&o);
     }
-    EXPECT(RUN("bake", lamp, "-o", path, "--photons", "20000", "--trees", "4", "--looks", "100", "--effects", "all"), 3, "leave --looks out");
+    char spot_light[1200];
+    snprintf(spot_light, sizeof(spot_light), "%s/models/prism-lamp/prism-lamp.gltf", LUMIBOX_BINARY_DIR);
+    EXPECT(RUN("bake", spot_light, "-o", path, "--photons", "20000", "--trees", "4", "--looks", "100"), 3, "leave --looks out");
+    outcome o = RUN("bake", spot_light, "-o", path, "--photons", "20000", "--trees", "4");
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "looks: none"));
+    release(&o);
 }
 
 /* Ctrl-C in a long bake: a valid box with what was traced, exit code 130. */

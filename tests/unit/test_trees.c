@@ -122,19 +122,22 @@ static void grow(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t t
     assert_int_equal(lmg_field_trees(field).trees, trees);
 }
 
-/* What an eye sees: the disc; or with the variance of so many photons, nothing or more than there is. */
-static float seen(const lmg_ray *ray, double noise)
+/* What an eye sees: the disc; or with the variance of so many photons, nothing or more than there is; or only whether the disc is there,
+ * from wherever it may shine. */
+static float seen(const lmg_ray *ray, lmg_look_kind kind, double noise)
 {
+    if (kind == LMG_LOOK_OUTLINE)
+        return hypot(ray->origin.x, ray->origin.y) < RADIUS ? 7 : 0;
     lamp_rng g = lamp_stream(77, ray->number);
     return in_light(ray) && lamp_next(&g) < 1 / (1 + noise) ? (float)(disc_radiance() * (1 + noise)) : 0;
 }
 
-/* Looks, drawn in pieces of so many, and trees refined by them. */
-static void refine(lmg_field *field, size_t count, size_t piece, uint64_t seed, double noise)
+/* Looks, drawn in pieces of so many, and trees refined by them; how much of these was misplaced. */
+static double refine_by(lmg_look_kind kind, lmg_field *field, size_t count, size_t piece, uint64_t seed, double noise)
 {
     lmg_error err = {{0}};
     lmg_looks *looks;
-    if (lmg_looks_create(field, LMG_LOOK_RADIANCE, count, seed, &looks, &err) != LMG_OK)
+    if (lmg_looks_create(field, kind, count, seed, &looks, &err) != LMG_OK)
         fail_msg("%s", err.message);
     assert_int_equal(lmg_looks_count(looks), count);
     lmg_ray *rays = malloc(piece * sizeof *rays);
@@ -150,16 +153,23 @@ static void refine(lmg_field *field, size_t count, size_t piece, uint64_t seed, 
             const lmg_vec3 o = rays[i].origin, d = rays[i].direction;
             rays[i].origin = (lmg_vec3){o.x + k * d.x, o.y + k * d.y, 0};
             for (int c = 0; c < 3; c++)
-                radiance[i][c] = rays[i].direction.z > 0 ? seen(&rays[i], noise) : 0;
+                radiance[i][c] = rays[i].direction.z > 0 ? seen(&rays[i], kind, noise) : 0;
         }
         lmg_looks_put(looks, first, n, (const float(*)[3])radiance);
     }
+    const double misplaced = lmg_looks_misplaced(looks);
     if (lmg_field_refine_trees(field, looks, &err) != LMG_OK)
         fail_msg("%s", err.message);
     assert_int_equal(lmg_field_trees(field).looks, count);
     lmg_looks_destroy(looks);
     free(radiance);
     free(rays);
+    return misplaced;
+}
+
+static void refine(lmg_field *field, size_t count, size_t piece, uint64_t seed, double noise)
+{
+    refine_by(LMG_LOOK_RADIANCE, field, count, piece, seed, noise);
 }
 
 /* One slab made by hand, few cells. */
@@ -430,20 +440,75 @@ static void test_looks(void **state)
     free(rays);
 }
 
-/* What looks tell spreads from seed to seed as it says, where all see the same and where an edge runs. */
+/* An eye that sees only where the disc is: little is left beside it, and on it is all the light that there was, within its cone as far
+ * as photons told that. */
+static void test_outlines(void **state)
+{
+    (void)state;
+    enum { RAYS = 100000, ASKED = 20000 };
+    static const lmg_layout_choice CHOICES[] = {LMG_LAYOUT_APERTURE, LMG_LAYOUT_CUBE};
+    lmg_ray *rays = disc_rays(1, RAYS);
+    for (int c = 0; c < 2; c++) {
+        const lmg_layout layout = fitted(
+            rays, (lmg_fit_options){.choice = CHOICES[c], .cells = 10000, .photons = RAYS, .bounds_min = LOW, .bounds_max = HIGH});
+        lmg_field *field = field_of(&layout, rays, RAYS);
+        double inside, before, beside[2] = {0};
+        grow(field, rays, RAYS, 8);
+        const double of_photons = disc_error(field, &before), light = light_of_root(field, 3, 0);
+        for (int k = 0; k < 2; k++) {
+            /* beside the disc, within the cone */
+            for (uint64_t i = 0; i < ASKED; i++) {
+                lamp_rng g = lamp_stream(92, i);
+                const lmg_ray r = disc_ray(&g, 1.05);
+                beside[k] += hypot(r.origin.x, r.origin.y) < RADIUS ? 0 : linear(field, &r, NULL) / disc_radiance() / ASKED;
+            }
+            if (k == 0) {
+                const double misplaced = refine_by(LMG_LOOK_OUTLINE, field, 300000, 7001, 5, 0);
+                /* disc_error is of 1.2^4 times the light's etendue */
+                assert_true(misplaced > 0.3 * 1.44 * of_photons && misplaced < 1.44 * of_photons);
+                grow(field, rays, RAYS, 8);
+                refine_by(LMG_LOOK_OUTLINE, field, 300000, 300000, 5, 0);
+            }
+        }
+        const double of_outlines = disc_error(field, &inside);
+        print_message("%s: RMS error of radiance: photons %.3f, outlines %.3f; mean inside %.4f, %.4f; beside the disc %.5f, %.5f\n",
+                      c == 0 ? "aperture" : "cube", of_photons, of_outlines, before, inside, beside[0], beside[1]);
+        assert_true(of_outlines < 0.9 * of_photons);
+        assert_true(inside > before && inside < 1.005);
+        assert_true(beside[1] < 0.5 * beside[0]);
+        assert_near(light_of_root(field, 3, 0), light, 1e-6 * light);
+
+        /* too few to tell anything, and where photons are that nobody sees */
+        static const size_t FEW[] = {1, 100, 2000};
+        for (size_t n = 0; n < 3; n++) {
+            grow(field, rays, RAYS, 8);
+            refine_by(LMG_LOOK_OUTLINE, field, FEW[n], FEW[n], 5, 0);
+            const double of_few = disc_error(field, &inside);
+            print_message("%zu looks: %.3f\n", FEW[n], of_few);
+            assert_true(of_few < 1.02 * of_photons);
+            assert_near(light_of_root(field, 3, 0), light, 1e-6 * light);
+        }
+        lmg_field_destroy(field);
+    }
+    free(rays);
+}
+
+/* What looks tell spreads from seed to seed as it says: where all see the same, where an edge runs, and where outlines are all. */
 static void test_looks_errors(void **state)
 {
     (void)state;
     enum { SEEDS = 20, RAYS = 10000, LOOKS = 20000, ASKED = 200 };
     const lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 1);
-    for (int border = 0; border < 2; border++) {
+    for (int c = 0; c < 3; c++) {
+        const bool border = c > 0;
+        const lmg_look_kind kind = c == 2 ? LMG_LOOK_OUTLINE : LMG_LOOK_RADIANCE;
         const double noise = border ? 0 : 0.5;
         double sum[ASKED] = {0}, squares[ASKED] = {0}, variance = 0, spread = 0, mean = 0;
         for (uint64_t seed = 0; seed < SEEDS; seed++) {
             lmg_ray *rays = disc_rays(300 + seed, RAYS);
             lmg_field *field = field_of(&layout, rays, RAYS);
             grow(field, rays, RAYS, 4);
-            refine(field, LOOKS, LOOKS, 400 + seed, noise);
+            refine_by(kind, field, LOOKS, LOOKS, 400 + seed, noise);
             for (uint64_t i = 0; i < ASKED; i++) {
                 lamp_rng g = lamp_stream(91, i);
                 const lmg_ray r = disc_ray(&g, border ? 1.2 : 0.5);
@@ -460,7 +525,7 @@ static void test_looks_errors(void **state)
             mean += sum[i] / SEEDS / ASKED;
             spread += (squares[i] - sum[i] * sum[i] / SEEDS) / (SEEDS - 1) / ASKED;
         }
-        print_message("%s: mean %.4f, spread %.3f, standard error %.3f\n", border ? "all over" : "inside, noisy looks", mean,
+        print_message("%s: mean %.4f, spread %.3f, standard error %.3f\n", c == 0 ? "inside, noisy looks" : c == 1 ? "all over" : "outlines", mean,
                       sqrt(spread), sqrt(variance));
         assert_true(spread > 0.64 * variance && spread < 1.57 * variance);
     }
@@ -1018,7 +1083,7 @@ int main(void)
         cmocka_unit_test(test_standard_errors),    cmocka_unit_test(test_colours),      cmocka_unit_test(test_asked_for),
         cmocka_unit_test(test_same_again),         cmocka_unit_test(test_files),        cmocka_unit_test(test_cut_and_flipped),
         cmocka_unit_test(test_impossible_forests), cmocka_unit_test(test_codes),        cmocka_unit_test(test_looks),
-        cmocka_unit_test(test_looks_errors),       cmocka_unit_test(test_edges),        cmocka_unit_test(test_impossible_edges),
+        cmocka_unit_test(test_looks_errors), cmocka_unit_test(test_outlines),       cmocka_unit_test(test_edges),        cmocka_unit_test(test_impossible_edges),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
