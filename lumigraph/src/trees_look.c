@@ -2,8 +2,8 @@
 /*
  * Looks: rays along which somebody says what an eye sees, and trees grown of them.
  *
- * They are drawn from the leaves of the photons' trees, as many for each leaf.  Leaves are small where light is strong or sharp, so
- * looks are dense there; a look's weight is the etendue that it stands for, one over the density of looks of all trees together.
+ * They are drawn from the leaves of the photons' trees, some more from bright ones.  Leaves are small where light is strong or sharp,
+ * so looks are dense there; a look's weight is the etendue that it stands for, one over the density of looks of all trees together.
  * Each tree keeps its forks and divides its leaves further, as a regression tree does [breiman1984]: by what is seen, not by how
  * many rays there are.  Errors of the mean of a leaf are those of a mean, small where all looks see the same.
  */
@@ -20,6 +20,8 @@
 
 /* Tries to draw a ray of a box that is uniform in etendue: at the least one in nine is kept. */
 enum { TRIES = 200 };
+/* Luminance that dark leaves are taken to have beside their own, of the mean one that light has. */
+static const double DARKEST = 0.03;
 
 typedef struct look {
     float at[4]; /* in its root */
@@ -36,7 +38,9 @@ struct lmg_looks {
     look *look;
     uint8_t *root;
     double *etendue[LMG_MOST_TREES]; /* of each leaf, by node */
+    double *density[LMG_MOST_TREES]; /* looks per unit of etendue that are drawn from each leaf, by node */
     uint32_t *leaf[LMG_MOST_TREES];  /* nodes that are leaves */
+    double *until[LMG_MOST_TREES];   /* looks that are drawn from a tree's leaves up to each of these */
 };
 
 void lmg_looks_destroy(lmg_looks *looks)
@@ -45,7 +49,9 @@ void lmg_looks_destroy(lmg_looks *looks)
         return;
     for (int k = 0; k < LMG_MOST_TREES; k++) {
         free(looks->etendue[k]);
+        free(looks->density[k]);
         free(looks->leaf[k]);
+        free(looks->until[k]);
     }
     free(looks->look);
     free(looks->root);
@@ -55,6 +61,51 @@ void lmg_looks_destroy(lmg_looks *looks)
 size_t lmg_looks_count(const lmg_looks *looks)
 {
     return looks->count;
+}
+
+/* The first look that is drawn from a tree. */
+static size_t first_of(const lmg_looks *looks, uint32_t tree)
+{
+    return (size_t)((double)looks->count / looks->trees->tree_count * tree);
+}
+
+static size_t looks_of(const lmg_looks *looks, uint32_t tree)
+{
+    return (tree + 1 < looks->trees->tree_count ? first_of(looks, tree + 1) : looks->count) - first_of(looks, tree);
+}
+
+/* Shares the looks of a tree out among its leaves, as the root of their luminance: so that errors count where it is bright, and dark
+ * ones aren't left out.  With as many for each the panel's radiance is off by 17.2 instead of 16.9 %, the lens' by 12.7 instead of
+ * 12.0, of 4 M looks; in proportion to luminance by 17.1, 12.5. */
+static bool share_out(lmg_looks *looks, uint32_t k)
+{
+    const lmg_trees *trees = looks->trees;
+    const lmg_tree *tree = &trees->trees[k];
+    double *etendue = looks->etendue[k] = malloc(tree->count * sizeof *etendue);
+    double *density = looks->density[k] = malloc(tree->count * sizeof *density);
+    double *until = looks->until[k] = malloc(tree->leaves * sizeof *until);
+    uint32_t *leaf = looks->leaf[k] = malloc(tree->leaves * sizeof *leaf);
+    if (!etendue || !density || !until || !leaf)
+        return false;
+    for (uint32_t j = 0; j < trees->root_count; j++)
+        lmg_tree_etendues(tree, j, &looks->field->layout.slabs[trees->roots[j].slab], etendue);
+    double light = 0, squares = 0, sum = 0;
+    uint32_t leaves = 0;
+    for (uint32_t i = 0; i < tree->count; i++)
+        if (tree->nodes[i].axis == LMG_LEAF) {
+            const double y = (double)tree->nodes[i].radiance;
+            light += y * etendue[i];
+            squares += y * y * etendue[i];
+            leaf[leaves++] = i;
+        }
+    const double least = light > 0 ? DARKEST * squares / light : 1;
+    for (uint32_t n = 0; n < leaves; n++)
+        until[n] = sum += sqrt((double)tree->nodes[leaf[n]].radiance + least);
+    for (uint32_t n = 0; n < leaves; n++)
+        until[n] *= (double)looks_of(looks, k) / sum;
+    for (uint32_t n = 0; n < leaves; n++)
+        density[leaf[n]] = (until[n] - (n > 0 ? until[n - 1] : 0)) / etendue[leaf[n]];
+    return true;
 }
 
 lmg_result lmg_looks_create(const lmg_field *field, lmg_look_kind kind, size_t count, uint64_t seed, lmg_looks **out,
@@ -73,20 +124,8 @@ lmg_result lmg_looks_create(const lmg_field *field, lmg_look_kind kind, size_t c
         made->root = malloc(count);
         done = made->look && made->root;
     }
-    for (uint32_t k = 0; done && k < trees->tree_count; k++) {
-        const lmg_tree *tree = &trees->trees[k];
-        made->etendue[k] = malloc(tree->count * sizeof *made->etendue[k]);
-        made->leaf[k] = malloc(tree->leaves * sizeof *made->leaf[k]);
-        done = made->etendue[k] && made->leaf[k];
-        if (!done)
-            break;
-        for (uint32_t j = 0; j < trees->root_count; j++)
-            lmg_tree_etendues(tree, j, &field->layout.slabs[trees->roots[j].slab], made->etendue[k]);
-        uint32_t leaves = 0;
-        for (uint32_t i = 0; i < tree->count; i++)
-            if (tree->nodes[i].axis == LMG_LEAF)
-                made->leaf[k][leaves++] = i;
-    }
+    for (uint32_t k = 0; done && k < trees->tree_count; k++)
+        done = share_out(made, k);
     if (!done) {
         lmg_looks_destroy(made);
         return lmg_fail(err, LMG_ERROR_MEMORY, "looks: no memory for %zu of them", count);
@@ -112,9 +151,11 @@ static lmg_tree_box box_of(const lmg_tree *tree, uint32_t root, uint32_t leaf)
     return b;
 }
 
-/* A ray of the box, uniform in etendue: its place in the root and in the slab. */
-static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, uint64_t *state, float at[4], double uvst[4])
+/* A ray of the box, uniform in etendue: its place in the root and in the slab.  Consecutive numbers give rays that keep their distance:
+ * an additive recurrence whose steps are powers of the generalised golden ratio of four dimensions [roberts2018]. */
+static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, uint64_t number, uint64_t *state, float at[4], double uvst[4])
 {
+    static const double STEP[4] = {0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101};
     const double lo[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, hi[4] = {slab->u1, slab->v1, slab->s1, slab->t1};
     const bool cube = slab->kind == LMG_SLAB_CUBE;
     double nearest = 0; /* cube slabs: etendue goes as 1 / (1 + s^2 + t^2)^2, here against its largest value in the box */
@@ -125,7 +166,8 @@ static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, uint64_t *sta
     }
     for (int i = 0; i < TRIES; i++) {
         for (int k = 0; k < 4; k++) {
-            at[k] = (float)fmin(box->lo[k] + (box->hi[k] - box->lo[k]) * lmg_next_number(state), 1 - 0x1p-24);
+            const double x = i == 0 ? fmod(0.5 + (double)number * STEP[k], 1) : lmg_next_number(state);
+            at[k] = (float)fmin(box->lo[k] + (box->hi[k] - box->lo[k]) * x, 1 - 0x1p-24);
             uvst[k] = lo[k] + (hi[k] - lo[k]) * (double)at[k];
         }
         if (!cube)
@@ -137,51 +179,65 @@ static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, uint64_t *sta
     return false;
 }
 
-/* Looks that are drawn from a tree: trees take turns. */
-static double looks_of(const lmg_looks *looks, uint32_t tree)
+/* Etendue that a look stands for: one over the looks that a unit of it holds, of all trees together (the balance heuristic
+ * [veach1995mis]).  With those of fewer trees weights are less even: of two, the panel's radiance is off by 17.2 instead of 16.1 %. */
+static double weight_at(const lmg_looks *looks, uint32_t root, const float at[4])
 {
-    const size_t n = looks->trees->tree_count;
-    return (double)((looks->count + n - 1 - tree) / n);
-}
-
-/* Looks that a unit of etendue holds, of all trees together. */
-static double density_at(const lmg_looks *looks, uint32_t root, const float at[4])
-{
-    double sum = 0;
+    double density = 0;
     for (uint32_t k = 0; k < looks->trees->tree_count; k++) {
         const lmg_tree *tree = &looks->trees->trees[k];
-        sum += looks_of(looks, k) / (tree->leaves * looks->etendue[k][lmg_tree_leaf(tree, root, at, NULL) - tree->nodes]);
+        density += looks->density[k][lmg_tree_leaf(tree, root, at, NULL) - tree->nodes];
     }
-    return sum;
+    return 1 / density;
+}
+
+/* The first of ascending numbers that is larger than x; the last if none is. */
+static uint32_t first_beyond(const double *numbers, uint32_t count, double x)
+{
+    uint32_t low = 0, high = count - 1;
+    while (low < high) {
+        const uint32_t middle = low + (high - low) / 2;
+        if (numbers[middle] > x)
+            high = middle;
+        else
+            low = middle + 1;
+    }
+    return low;
 }
 
 void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays)
 {
     const lmg_trees *trees = looks->trees;
     const lmg_layout *layout = &looks->field->layout;
+    uint32_t k = 0, root = 0, before = UINT32_MAX;
+    lmg_tree_box box = lmg_tree_whole();
     for (size_t i = first; i < first + count; i++) {
         uint64_t state = lmg_mix(lmg_next_key(looks->seed) + i);
-        /* each tree goes through its leaves in order */
-        const uint32_t k = (uint32_t)(i % trees->tree_count);
+        while (k + 1 < trees->tree_count && i >= first_of(looks, k + 1)) {
+            k++;
+            before = UINT32_MAX;
+        }
+        /* through the leaves of a tree in order */
         const lmg_tree *tree = &trees->trees[k];
-        const double at = ((double)(i / trees->tree_count) + lmg_next_number(&state)) / looks_of(looks, k);
-        const uint32_t n = (uint32_t)(at * tree->leaves);
-        const uint32_t leaf = looks->leaf[k][n < tree->leaves ? n : tree->leaves - 1];
-        uint32_t root = 0;
-        while (root + 1 < trees->root_count && tree->first[root + 1] <= leaf)
-            root++;
+        const double place = (double)(i - first_of(looks, k)) + lmg_next_number(&state);
+        const uint32_t leaf = looks->leaf[k][first_beyond(looks->until[k], tree->leaves, place)];
+        if (leaf != before) {
+            for (root = 0; root + 1 < trees->root_count && tree->first[root + 1] <= leaf;)
+                root++;
+            box = box_of(tree, root, leaf);
+            before = leaf;
+        }
         const lmg_slab *slab = &layout->slabs[trees->roots[root].slab];
-        const lmg_tree_box box = box_of(tree, root, leaf);
         look *l = &looks->look[i];
         double uvst[4], k0, k1;
         float own[4];
         lmg_ray *ray = &rays[i - first];
         *ray = (lmg_ray){.flux = {1, 1, 1}, .number = lmg_mix(state) | (uint64_t)1 << 63};
-        const bool drawn = draw_in(slab, &box, &state, l->at, uvst);
+        const bool drawn = draw_in(slab, &box, i, &state, l->at, uvst);
         lmg_slab_ray(slab, uvst, &ray->origin, &ray->direction);
         looks->root[i] = (uint8_t)root;
         l->weight = drawn && lmg_trees_root(trees, layout, ray->origin, ray->direction, own) == (int)root
-                        ? (float)(1 / density_at(looks, root, l->at))
+                        ? (float)weight_at(looks, root, l->at)
                         : 0;
         if (lmg_box_interval(layout->bounds_min, layout->bounds_max, ray->origin, ray->direction, &k0, &k1))
             ray->origin = v_fma(ray->origin, k1, ray->direction);
@@ -225,7 +281,9 @@ static const double LEAST_SPREAD = 0.01, UNKNOWN_SPREAD = 100;
  * they have. */
 static const double DARK_PHOTONS = 8;
 /* A piece of fewer looks isn't divided; nor is one of fewer, or more, by an edge: it would be no plane. */
-enum { FEWEST = 3, FEWEST_FOR_EDGE = 12, MOST_FOR_EDGE = 4000 };
+enum { FEWEST = 3, FEWEST_FOR_EDGE = 30, MOST_FOR_EDGE = 4000 };
+/* An edge doesn't stand against forks that come to more leaves. */
+enum { MOST_INSTEAD = 32 };
 /* Which cut tells most of many looks, some of them tell as well. */
 enum { LOOKED_AT = 1024 };
 
@@ -242,21 +300,6 @@ static inline void add_look(sums *s, const look *l)
     s->weights2 += w * w;
     s->luminance += w * y;
     s->squares += w * y * y;
-}
-
-static void add_sums(sums *s, const sums *other)
-{
-    s->count += other->count;
-    s->weight += other->weight;
-    s->weights2 += other->weights2;
-    s->luminance += other->luminance;
-    s->squares += other->squares;
-}
-
-static sums rest(const sums *all, const sums *part)
-{
-    return (sums){all->count - part->count, all->weight - part->weight, all->weights2 - part->weights2,
-                  all->luminance - part->luminance, all->squares - part->squares};
 }
 
 /* Variance of the mean.  Looks that all see the same may be lucky: what one more might have seen is added, the mean or what all
@@ -347,101 +390,190 @@ typedef struct edge {
     double score;
 } edge;
 
-/* Tries all places of an edge with this normal. */
-static void try_normal(const piece *p, size_t step, const int normal[4], edge *best)
+/* Normals that are tried at once. */
+enum { NORMALS = 4 };
+
+/* An edge's coordinate, in cuts: start + slope * place. */
+typedef struct ramps {
+    lmg_double4 start, slope[4]; /* of four normals; by axis */
+} ramps;
+
+/* Slopes of luminance on place, in parts of the box, times anything positive. */
+LMG_WIDE static void regress(const look *l, size_t count, size_t step, const lmg_tree_box *box, double slope[4])
 {
-    sums bin[LMG_EDGE_CUTS] = {{0}}, all = {0}, low = {0};
-    double slope[4], start = 0, range = 0;
+    lmg_double4 low, scale, x1 = {0}, x2 = {0}, xy = {0};
+    double weight = 0, light = 0;
     for (int k = 0; k < 4; k++) {
-        slope[k] = normal[k] / (p->box.hi[k] - p->box.lo[k]);
-        start -= slope[k] * p->box.lo[k];
-        start -= normal[k] < 0 ? normal[k] : 0;
-        range += abs(normal[k]);
+        low[k] = 0.5 * (box->lo[k] + box->hi[k]);
+        scale[k] = 1 / (box->hi[k] - box->lo[k]);
     }
-    const double scale = LMG_EDGE_CUTS / range;
-    for (size_t i = 0; i < p->count; i += step) {
-        const float *at = p->looks[i].at;
-        const double y =
-            start + slope[0] * (double)at[0] + slope[1] * (double)at[1] + slope[2] * (double)at[2] + slope[3] * (double)at[3];
-        const int b = (int)fmin(fmax(y * scale, 0), LMG_EDGE_CUTS - 1);
-        add_look(&bin[b], &p->looks[i]);
+    for (size_t i = 0; i < count; i += step) {
+        const double w = (double)l[i].weight, wy = w * (double)l[i].luminance;
+        const lmg_double4 at = {(double)l[i].at[0], (double)l[i].at[1], (double)l[i].at[2], (double)l[i].at[3]};
+        const lmg_double4 x = (at - low) * scale;
+        weight += w;
+        light += wy;
+        x1 += w * x;
+        x2 += w * x * x;
+        xy += wy * x;
     }
-    for (int b = 0; b < LMG_EDGE_CUTS; b++)
-        add_sums(&all, &bin[b]);
-    for (unsigned cut = 0; cut + 1 < LMG_EDGE_CUTS; cut++) {
-        add_sums(&low, &bin[cut]);
-        const sums high = rest(&all, &low);
-        if (low.count < 2 || high.count < 2)
-            continue;
-        const double gain = (score(&low, low.luminance / low.weight, low.weight, p->edge_penalty, p->usual) +
-                             score(&high, high.luminance / high.weight, high.weight, p->edge_penalty, p->usual)) *
-                            p->etendue / all.weight;
-        if (gain > best->score) {
-            *best = (edge){.cut = cut, .side = {low, high}, .score = gain};
-            memcpy(best->normal, normal, sizeof best->normal);
+    for (int k = 0; k < 4; k++) {
+        const double spread = x2[k] - x1[k] * x1[k] / weight;
+        slope[k] = spread > 0 ? (xy[k] - x1[k] * light / weight) / spread : 0;
+    }
+}
+
+/* The normals to be tried, most of them different ones: luminance grows fastest along an edge's normal, which the regression tells a
+ * little too blunt or too sharp; and edges of what lies along an axis are in one coordinate of place and one of direction. */
+static void choose_normals(const double slope[4], int normal[NORMALS][4])
+{
+    double steepness[4], most = 0;
+    for (int k = 0; k < 4; k++)
+        most = fmax(most, steepness[k] = fabs(slope[k]));
+    for (int k = 0; k < 4; k++) {
+        const double x = steepness[k] / most, powers[] = {x, x * sqrt(x), sqrt(x)};
+        for (int n = 0; n < 3; n++)
+            normal[n][k] = (int)rint(copysign(LMG_EDGE_MOST * powers[n], slope[k]));
+    }
+    const int pair = fmax(steepness[0], steepness[2]) > fmax(steepness[1], steepness[3]) ? 0 : 1;
+    for (int k = 0; k < 4; k++)
+        normal[3][k] = k % 2 == pair ? normal[0][k] : 0;
+}
+
+/* Weights and weighted luminances of looks by where they are along each normal. */
+LMG_WIDE static void sort_into_bins(const look *l, size_t count, size_t step, const ramps *r,
+                                    double bins[NORMALS][LMG_EDGE_CUTS][2])
+{
+    for (size_t i = 0; i < count; i += step) {
+        const double w = (double)l[i].weight, wy = w * (double)l[i].luminance;
+        lmg_double4 y = r->start;
+        for (int k = 0; k < 4; k++)
+            y += r->slope[k] * (double)l[i].at[k];
+        const lmg_int4 at = __builtin_convertvector(y, lmg_int4);
+        for (int n = 0; n < NORMALS; n++) { /* within, but for rounding */
+            double *bin = bins[n][at[n] < LMG_EDGE_CUTS ? at[n] : LMG_EDGE_CUTS - 1];
+            bin[0] += w;
+            bin[1] += wy;
         }
     }
 }
 
-/* The best edge of a piece, with the score -INFINITY if there is none.  Luminance grows fastest along an edge's normal: the
- * regression of luminance on place tells it, a little too blunt or too sharp. */
+/* The cut that does best, -1: none has looks on both sides; *gain: the larger the better.  Variance is taken to be as large on both
+ * sides, so that what it costs is the same for all cuts, but for the looks that may be lucky (variance_of). */
+static int choose_cut(double bins[LMG_EDGE_CUTS][2], double count, const piece *p, double *gain)
+{
+    double weight = 0, light = 0, w = 0, wy = 0;
+    int best = -1;
+    *gain = -INFINITY;
+    for (int b = 0; b < LMG_EDGE_CUTS; b++) {
+        weight += bins[b][0];
+        light += bins[b][1];
+    }
+    const double lucky = p->edge_penalty * (weight / count) * (weight / count);
+    for (int b = 0; b + 1 < LMG_EDGE_CUTS; b++) {
+        w += bins[b][0];
+        wy += bins[b][1];
+        if (!(bins[b][0] > 0) || !(weight - w > 1e-9 * weight))
+            continue;
+        const double first = wy * wy / w, v = weight - w, vy = light - wy, second = vy * vy / v;
+        const double x = first + second - lucky * ((first / w + p->usual) / w + (second / v + p->usual) / v);
+        if (x > *gain) {
+            *gain = x;
+            best = b;
+        }
+    }
+    return best;
+}
+
+/* The best edge of a piece, with the score -INFINITY if there is none. */
 static edge choose_edge(const piece *p)
 {
     edge best = {.score = -INFINITY};
     if (p->count < FEWEST_FOR_EDGE || p->count > MOST_FOR_EDGE)
         return best;
     const size_t step = p->count > LOOKED_AT ? p->count / LOOKED_AT : 1;
-    double weight = 0, light = 0, x1[4] = {0}, x2[4] = {0}, xy[4] = {0}, slope[4], most = 0;
-    for (size_t i = 0; i < p->count; i += step) {
-        const look *l = &p->looks[i];
-        const double w = (double)l->weight, wy = w * (double)l->luminance;
-        weight += w;
-        light += wy;
+    double slope[4], bins[NORMALS][LMG_EDGE_CUTS][2] = {{{0}}}, most = -INFINITY;
+    int normal[NORMALS][4];
+    regress(p->looks, p->count, step, &p->box, slope);
+    if (!(fabs(slope[0]) + fabs(slope[1]) + fabs(slope[2]) + fabs(slope[3]) > 0))
+        return best;
+    choose_normals(slope, normal);
+    ramps r = {{0}, {{0}}};
+    for (int n = 0; n < NORMALS; n++) {
+        double range = 0, start = 0;
+        for (int k = 0; k < 4; k++)
+            range += abs(normal[n][k]);
         for (int k = 0; k < 4; k++) {
-            const double x = ((double)l->at[k] - p->box.lo[k]) / (p->box.hi[k] - p->box.lo[k]) - 0.5;
-            x1[k] += w * x;
-            x2[k] += w * x * x;
-            xy[k] += wy * x;
+            const double x = LMG_EDGE_CUTS / range * normal[n][k];
+            r.slope[k][n] = x / (p->box.hi[k] - p->box.lo[k]);
+            start -= r.slope[k][n] * p->box.lo[k] + fmin(x, 0);
+        }
+        r.start[n] = start;
+    }
+    sort_into_bins(p->looks, p->count, step, &r, bins);
+    int chosen = -1;
+    for (int n = 0; n < NORMALS; n++) {
+        double gain;
+        const int cut = choose_cut(bins[n], (double)((p->count - 1) / step + 1), p, &gain);
+        if (cut >= 0 && gain > most) {
+            most = gain;
+            chosen = n;
+            best.cut = (unsigned)cut;
         }
     }
-    for (int k = 0; k < 4; k++) {
-        const double spread = x2[k] - x1[k] * x1[k] / weight;
-        slope[k] = spread > 0 ? (xy[k] - x1[k] * light / weight) / spread : 0;
-        most = fmax(most, fabs(slope[k]));
-    }
-    static const double SHARPER[] = {1, 1.6, 0.6};
-    int tried[3][4];
-    for (int n = 0; n < 3 && most > 0; n++) {
+    if (chosen < 0)
+        return best;
+    memcpy(best.normal, normal[chosen], sizeof best.normal);
+    for (size_t i = 0; i < p->count; i += step) {
+        const float *at = p->looks[i].at;
+        double y = r.start[chosen];
         for (int k = 0; k < 4; k++)
-            tried[n][k] = (int)rint(copysign(LMG_EDGE_MOST * pow(fabs(slope[k]) / most, SHARPER[n]), slope[k]));
-        bool again = false;
-        for (int m = 0; m < n; m++)
-            again = again || memcmp(tried[m], tried[n], sizeof tried[n]) == 0;
-        if (!again)
-            try_normal(p, step, tried[n], &best);
+            y += r.slope[k][chosen] * (double)at[k];
+        add_look(&best.side[y < best.cut + 1 ? 0 : 1], &p->looks[i]);
     }
+    const sums *side = best.side;
+    if (side[0].count < 2 || side[1].count < 2)
+        return best;
+    const double whole = p->etendue / (side[0].weight + side[1].weight);
+    best.score = 0;
+    for (int k = 0; k < 2; k++)
+        best.score += whole * score(&side[k], side[k].luminance / side[k].weight, side[k].weight, p->edge_penalty, p->usual);
     return best;
 }
 
-static sums sums_of(const piece *p)
+/* In two rows, which don't wait for each other. */
+LMG_WIDE static sums sums_of(const look *l, size_t count)
 {
-    sums all = {0};
-    for (size_t i = 0; i < p->count; i++)
-        add_look(&all, &p->looks[i]);
-    return all;
+    lmg_double4 row[2] = {{0}, {0}};
+    for (size_t i = 0; i < count; i++) {
+        const double w = (double)l[i].weight, y = (double)l[i].luminance;
+        row[i % 2] += (lmg_double4){w, w * w, w * y, w * y * y};
+    }
+    row[0] += row[1];
+    return (sums){(double)count, row[0][0], row[0][1], row[0][2], row[0][3]};
 }
 
-/* Halves of a piece, the looks below the cut to the front; etendue isn't set. */
-static void halve(const piece *p, int axis, uint8_t chosen, piece half[2])
+/* Looks below a cut to the front; how many.  Without a branch on where a look lies, which nobody can predict: each changes places
+ * with the first one that isn't below, and counts if it is. */
+static size_t part(look *l, size_t count, int axis, double cut)
 {
-    const double cut = lmg_tree_cut(&p->box, axis, chosen);
+    float least = (float)cut; /* of the numbers that aren't below */
+    if ((double)least < cut)
+        least = nextafterf(least, INFINITY);
     size_t below = 0;
-    for (size_t i = 0; i < p->count; i++)
-        if ((double)p->looks[i].at[axis] < cut) {
-            const look here = p->looks[i];
-            p->looks[i] = p->looks[below];
-            p->looks[below++] = here;
-        }
+    for (size_t i = 0; i < count; i++) {
+        const bool is_below = l[i].at[axis] < least;
+        const look here = l[i];
+        l[i] = l[below];
+        l[below] = here;
+        below += is_below;
+    }
+    return below;
+}
+
+/* Halves of a piece whose looks have been parted; etendue isn't set. */
+static void halve(const piece *p, int axis, double cut, size_t below, piece half[2])
+{
     half[0] = half[1] = *p;
     half[0].count = below;
     half[1].looks = p->looks + below;
@@ -491,28 +623,30 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     if (all->squares / all->weight - average * average <=
         1e-6 * all->squares / all->weight) /* all see the same, but for rounding */
         return own;
-    const edge e = choose_edge(p);
     uint8_t cut = 0;
     double kept = -INFINITY, part_of, light_of[2];
     uint32_t second = 0;
     const int axis = choose_axis(s->slab, p, &cut, &part_of);
     if (axis >= 0) {
+        const double at = lmg_tree_cut(&p->box, axis, cut);
         piece half[2];
-        halve(p, axis, cut, half);
+        halve(p, axis, at, part(p->looks, p->count, axis, at), half);
         half[0].etendue = part_of;
         half[1].etendue = p->etendue - part_of;
         kept = 0;
         for (int k = 0; k < 2; k++) {
             half[k].before = mean;
             half[k].variance = (double)s->variance[me];
-            const sums of =
-                sums_of(&half[k]); /* not a difference, which would keep what rounding left of looks that aren't there */
+            /* not a difference, which would keep what rounding left of looks that aren't there */
+            const sums of = sums_of(half[k].looks, half[k].count);
             second = s->tree->count;
             kept += grow_piece(s, &half[k], &of, &light_of[k]);
         }
     }
     if (s->failed)
         return own;
+    const uint32_t below = s->tree->count - me - 1; /* nodes; one more than half of them are leaves, and as many if there are edges */
+    const edge e = below / 2 < MOST_INSTEAD ? choose_edge(p) : (edge){.score = -INFINITY};
     const bool has_edge = e.score > own;
     const double alone = has_edge ? e.score : own;
     if (axis < 0 || !(kept > alone)) {
@@ -526,29 +660,47 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     return kept;
 }
 
-/* Variance of looks within leaves, and squared luminance, both times etendue. */
-typedef struct noise {
-    double variance, square;
-} noise;
+/* A tree as it was, and where in the looks each node begins. */
+typedef struct former {
+    const lmg_tree *tree;
+    const double *etendue; /* of each leaf, by node */
+    uint32_t *begin;       /* by node */
+} former;
 
-static void measure_noise(const lmg_tree *was, uint32_t node, const piece *p, noise *out)
+/* Sorts looks first .. end - 1 by the leaves below a node, in the order of these. */
+static void sort_looks(const former *was, uint32_t node, const lmg_tree_box *box, look *looks, size_t first, size_t end)
 {
-    const lmg_tree_node *n = &was->nodes[node];
-    if (n->axis != LMG_LEAF) {
-        piece half[2];
-        halve(p, n->axis, n->cut, half);
-        measure_noise(was, node + 1, &half[0], out);
-        measure_noise(was, n->second, &half[1], out);
+    const lmg_tree_node *n = &was->tree->nodes[node];
+    was->begin[node] = (uint32_t)first;
+    if (n->axis == LMG_LEAF)
         return;
+    const double cut = lmg_tree_cut(box, n->axis, n->cut);
+    const size_t middle = first + part(looks + first, end - first, n->axis, cut);
+    lmg_tree_box half = *box;
+    half.hi[n->axis] = cut;
+    sort_looks(was, node + 1, &half, looks, first, middle);
+    half = *box;
+    half.lo[n->axis] = cut;
+    sort_looks(was, n->second, &half, looks, middle, end);
+}
+
+/* Variance of a look, relative, of all leaves together: nodes first .. end - 1, and count looks. */
+static double measure_spread(const former *was, uint32_t first, uint32_t end, const look *looks, size_t count)
+{
+    double variances = 0, squares = 0; /* within leaves, and of luminance; both times etendue */
+    for (uint32_t i = first; i < end; i++) {
+        if (was->tree->nodes[i].axis != LMG_LEAF)
+            continue;
+        const sums all = sums_of(looks + was->begin[i], (i + 1 < end ? was->begin[i + 1] : count) - was->begin[i]);
+        const double many = all.count > 1 ? all.weight * all.weight / all.weights2 : 0;
+        if (!(many > 1.5))
+            continue;
+        const double mean = all.luminance / all.weight;
+        const double variance = fmax(all.squares / all.weight - mean * mean, 0) * many / (many - 1);
+        variances += all.weight * variance;
+        squares += all.weight * (mean * mean - variance / many);
     }
-    const sums all = sums_of(p);
-    const double many = all.count > 1 ? all.weight * all.weight / all.weights2 : 0;
-    if (!(many > 1.5))
-        return;
-    const double mean = all.luminance / all.weight;
-    const double variance = fmax(all.squares / all.weight - mean * mean, 0) * many / (many - 1);
-    out->variance += all.weight * variance;
-    out->square += all.weight * (mean * mean - variance / many);
+    return squares > 0 ? fmax(variances / squares, LEAST_SPREAD) : UNKNOWN_SPREAD;
 }
 
 /* Sets the light of a leaf that has been grown to pieces, nodes first and on, whose luminances add up to so much light: looks divide
@@ -588,18 +740,17 @@ static void divide_light(lmg_sapling *s, uint32_t first, const piece *leaf, doub
 
 /* Goes down a tree as it was, whose forks stay, and grows its leaves.  spread: relative variance of a look, of all leaves together:
  * one leaf's own goes with its mean, and would draw the mean down. */
-static void grow_from(lmg_sapling *s, lmg_look_kind kind, const lmg_tree *was, const double *etendue, uint32_t node, const piece *p,
-                      double spread)
+static void grow_from(lmg_sapling *s, lmg_look_kind kind, const former *was, uint32_t node, const piece *p, double spread)
 {
-    const lmg_tree_node *n = &was->nodes[node];
+    const lmg_tree_node *n = &was->tree->nodes[node];
     if (n->axis == LMG_LEAF) {
         const double luminance = (double)n->radiance;
         const bool outline = kind == LMG_LOOK_OUTLINE;
-        const sums all = sums_of(p);
+        const sums all = sums_of(p->looks, p->count);
         const uint32_t first = s->tree->count;
         piece here = *p;
         double light;
-        here.etendue = etendue[node];
+        here.etendue = was->etendue[node];
         here.before = outline ? 1 : luminance;
         here.variance = lmg_leaf_variance(n->code);
         if (all.count == 0 || (outline && !(luminance > 0))) {
@@ -620,10 +771,10 @@ static void grow_from(lmg_sapling *s, lmg_look_kind kind, const lmg_tree *was, c
     const uint32_t me = lmg_sapling_add(s, 0, 0);
     piece half[2];
     uint32_t second = 0;
-    halve(p, n->axis, n->cut, half);
+    halve(p, n->axis, lmg_tree_cut(&p->box, n->axis, n->cut), was->begin[n->second] - was->begin[node], half);
     for (int k = 0; k < 2 && !s->failed; k++) {
         second = s->tree->count;
-        grow_from(s, kind, was, etendue, k == 0 ? node + 1 : n->second, &half[k], spread);
+        grow_from(s, kind, was, k == 0 ? node + 1 : n->second, &half[k], spread);
     }
     if (!s->failed)
         s->tree->nodes[me] = (lmg_tree_node){.second = second, .axis = n->axis, .cut = n->cut};
@@ -640,28 +791,30 @@ static lmg_result refine_tree(void *self, uint64_t k, void *scratch, lmg_error *
     const refining *r = self;
     const lmg_looks *looks = r->looks;
     const lmg_trees *trees = looks->trees;
-    const lmg_tree *was = &trees->trees[k];
+    const lmg_tree *tree = &trees->trees[k];
     lmg_sapling s = {.tree = &r->trees->trees[k]};
     look *own = malloc(looks->count * sizeof *own);
-    s.failed = !own;
+    const former was = {tree, looks->etendue[k], malloc(tree->count * sizeof *was.begin)};
+    s.failed = !own || !was.begin;
     for (uint32_t j = 0; j < trees->root_count && !s.failed; j++) {
+        const uint32_t first = tree->first[j], end = lmg_root_end(trees, tree, j);
         double light = 0;
-        for (uint32_t i = was->first[j]; i < lmg_root_end(trees, was, j); i++)
-            light += was->nodes[i].axis == LMG_LEAF ? (double)was->nodes[i].radiance * looks->etendue[k][i] : 0;
+        for (uint32_t i = first; i < end; i++)
+            light += tree->nodes[i].axis == LMG_LEAF ? (double)tree->nodes[i].radiance * was.etendue[i] : 0;
         piece p = {.looks = own, .box = lmg_tree_whole(), .key = lmg_next_key(lmg_next_key(~k) ^ j)};
         for (size_t i = 0; i < looks->count; i++)
             if (looks->root[i] == j && looks->look[i].weight > 0)
                 own[p.count++] = looks->look[i];
         s.slab = &looks->field->layout.slabs[trees->roots[j].slab];
         s.tree->first[j] = s.tree->count;
-        noise n = {0};
-        measure_noise(was, was->first[j], &p, &n);
-        const double spread = n.square > 0 ? fmax(n.variance / n.square, LEAST_SPREAD) : UNKNOWN_SPREAD;
+        sort_looks(&was, first, &p.box, own, 0, p.count);
+        const double spread = measure_spread(&was, first, end, own, p.count);
         p.edge_penalty = EDGE_PENALTY + (NOISY_EDGE_PENALTY - EDGE_PENALTY) * fmin(spread, 1);
-        grow_from(&s, looks->kind, was, looks->etendue[k], was->first[j], &p, spread);
+        grow_from(&s, looks->kind, &was, first, &p, spread);
         if (!s.failed)
             lmg_sapling_set_leaves(&s, j, light);
     }
+    free(was.begin);
     free(own);
     return lmg_sapling_end(&s, err);
 }

@@ -305,7 +305,7 @@ enum { LMG_MOST_TREES = 16 };
 LMG_API lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t trees, lmg_error *err);
 
 /*
- * Looks: rays spread over the leaves of a field's trees, as many for each leaf, along which whoever knows the luminaire says what an
+ * Looks: rays spread over the leaves of a field's trees, some more in bright ones, along which whoever knows the luminaire says what an
  * eye sees.  They divide the leaves further, and find the edges within: where emitters are seen directly, by mirrors or through
  * glass, a look has no noise, and its dark side tells as much as its bright one.  Looks are a function of the trees, their kind and
  * number, and the seed alone.
