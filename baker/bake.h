@@ -110,7 +110,7 @@ const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count); /* f
 /* If looks tell radiance, photons tell where to look, for which fewer do. */
 #define BAKE_LOOKED_PHOTONS 2000000
 /* Some 30 bytes each, and as many again for each thread. */
-#define BAKE_MOST_LOOKS 8000000
+#define BAKE_MOST_LOOKS 16000000
 
 /* Pilot photons are numbered from here on, apart from those of the bake. */
 #define BAKE_PILOT_FIRST (UINT64_C(1) << 62)

@@ -10,7 +10,7 @@
 static const uint64_t TREE_ROUND = 200000;
 /* Seconds of a processor, about, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; and
  * the most that trees, and looks alone, take of a bake by time. */
-static const double TREE_SECONDS = 3.2e-7, LOOK_TREE_SECONDS = 4.5e-7, LOOK_SECONDS = 1.2e-6, MOST_FOR_TREES = 0.5, MOST_FOR_LOOKS = 0.4;
+static const double TREE_SECONDS = 2.2e-7, LOOK_TREE_SECONDS = 2.3e-7, LOOK_SECONDS = 9e-7, MOST_FOR_TREES = 0.5, MOST_FOR_LOOKS = 0.4;
 /* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
 static const double LOOKS_PER_PHOTON = 2;
 /* Variance of a look over that of a photon, beyond which looks tell outlines only: with 18 the opal globe's trees are a little worse. */

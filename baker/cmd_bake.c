@@ -73,7 +73,7 @@ static const struct argp_option OPTIONS[] = {
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving them out may change (default 0.1%)", 4},
     {"gather", KEY_GATHER, "R|auto", 0, "R rays traced backwards per photon (default none)", 4},
     {"trees", KEY_TREES, "N", 0, "2 to 16 radiance trees, beyond --size (none)", 4},
-    {"looks", KEY_LOOKS, "N", 0, "backward rays for trees (2 per photon, up to 8M)", 4},
+    {"looks", KEY_LOOKS, "N", 0, "backward rays for trees (2 per photon, up to 16M)", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
     {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},

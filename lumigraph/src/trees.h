@@ -36,7 +36,7 @@ typedef struct lmg_tree_node {
     uint16_t code; /* leaf: see lmg_leaf_code; edge: its normal, see lmg_edge_normal */
 } lmg_tree_node;
 
-/* LMG_TREE_BYTES: what trees take of a file at most, so that the cost of reading them is bounded.  8 trees of 8 M looks take 3 MB (spot). */
+/* LMG_TREE_BYTES: what trees take of a file at most, so that the cost of reading them is bounded.  8 trees of 16 M looks take 6 MB (spot). */
 enum { LMG_LEAF = 4, LMG_EDGE = 5, LMG_TREE_CUTS = 32, LMG_TREE_DEPTH = 64, LMG_TREE_BYTES = 1 << 25 };
 
 typedef struct lmg_tree {
