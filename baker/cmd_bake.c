@@ -522,6 +522,8 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
     if (trees.trees > 0) {
         printf("  trees     %u with %.3g M leaves in all, of %.3g M rays and %.3g M looks, in %.1f s\n", trees.trees,
                1e-6 * (double)trees.leaves, 1e-6 * (double)trees.rays, 1e-6 * (double)trees.looks, r->trees_seconds);
+        if (trees.tiles > 0)
+            printf("            light repeats itself in %u tiles of %u kinds, which share their rays\n", trees.tiles, trees.kinds);
         if (r->looks_why[0])
             printf("            looks: %s\n", r->looks_why);
     }

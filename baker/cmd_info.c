@@ -217,6 +217,8 @@ static void print_info(const command *c, const lmg_field *field, uint64_t bytes)
     if (trees.trees > 0)
         printf("%u radiance trees with %.3g M leaves in all, of %.3g M rays and %.3g M looks; %.1f MB of that memory\n", trees.trees,
                1e-6 * (double)trees.leaves, 1e-6 * (double)trees.rays, 1e-6 * (double)trees.looks, 1e-6 * (double)trees.memory);
+    if (trees.tiles > 0)
+        printf("light repeats itself in %u tiles of %u kinds, which share their rays\n", trees.tiles, trees.kinds);
     printf("\nWhere the light went (%" PRIu64 " photons)\n", l.photons);
     printf("  emitted   %12.6g %s\n", l.emitted, unit);
     print_share("stored", unit, l.stored, l.stored_se, l.emitted);

@@ -214,9 +214,9 @@ static bool place_of(const lmg_slab *slab, lmg_vec3 origin, lmg_vec3 direction, 
 
 int lmg_trees_root(const lmg_trees *trees, const lmg_layout *layout, lmg_vec3 origin, lmg_vec3 direction, float at[4])
 {
-    for (uint32_t j = 0; j < trees->root_count; j++)
-        if (place_of(&layout->slabs[trees->roots[j].slab], origin, direction, at))
-            return (int)j;
+    for (uint32_t k = 0; k < trees->tiling_count; k++)
+        if (place_of(&layout->slabs[trees->tilings[k].slab], origin, direction, at))
+            return (int)lmg_tile_root(&trees->tilings[k], at);
     return -1;
 }
 
@@ -291,18 +291,14 @@ double lmg_trees_luminance(const lmg_trees *trees, int root, const float at[4], 
 
 /* ------------------------------------------------------------------------------------------------------------- growing */
 
-/* A ray in a root's rectangle. */
-typedef struct point {
-    float at[4];
-    float flux; /* luminance, units */
-} point;
+typedef lmg_tree_point point;
 
 typedef struct growing {
     const lmg_layout *layout;
     lmg_trees *trees;
     const point *points; /* of all roots, one after the other */
     double lumens_per_unit;
-    size_t first[LMG_MAX_SLABS + 1];
+    size_t first[LMG_MOST_ROOTS + 1];
 } growing;
 
 uint32_t lmg_sapling_add(lmg_sapling *s, double luminance, double variance)
@@ -490,7 +486,8 @@ static lmg_result grow_tree(void *self, uint64_t k, void *scratch, lmg_error *er
         memcpy(points, g->points, count * sizeof *points);
     for (uint32_t j = 0; j < trees->root_count && !s.failed; j++) {
         const lmg_tree_box whole = lmg_tree_whole();
-        s.slab = &g->layout->slabs[trees->roots[j].slab];
+        const lmg_slab slab = lmg_root_slab(trees, g->layout, j);
+        s.slab = &slab;
         s.tree->first[j] = s.tree->count;
         sums all = {0};
         for (size_t i = g->first[j]; i < g->first[j + 1]; i++) {
@@ -509,7 +506,7 @@ static lmg_result grow_tree(void *self, uint64_t k, void *scratch, lmg_error *er
 /* The slabs that get trees: of those on one side of the lamp the last, which holds the others' rays as well.  The six that
  * lmg_layout_fit puts last catch what passes beside.  (With trees of its own for a source that is seen directly the spot's radiance
  * is off by 25 instead of 22 %: leaves around it lose light to it.) */
-static uint32_t find_roots(const lmg_layout *layout, lmg_tree_root roots[LMG_MAX_SLABS])
+static uint32_t find_wide(const lmg_layout *layout, lmg_tiling tilings[LMG_MAX_SLABS])
 {
     const uint32_t wide = layout->slab_count > 6 ? layout->slab_count - 6 : layout->slab_count;
     uint32_t count = 0;
@@ -519,9 +516,28 @@ static uint32_t find_roots(const lmg_layout *layout, lmg_tree_root roots[LMG_MAX
         for (uint32_t k = j + 1; k < wide; k++)
             last = last && !(layout->slabs[k].kind == x->kind && v_dot(layout->slabs[k].n, x->n) > 1 - 1e-9);
         if (last)
-            roots[count++].slab = j;
+            tilings[count++] = (lmg_tiling){.slab = j, .nu = 1, .nv = 1, .kinds = 1};
     }
     return count;
+}
+
+/* Finds the tiles of all wide slabs, whose roots are one for each so far; root: of each ray, -1 for none. */
+static bool tile(lmg_trees *trees, const point *all, const int8_t *root, size_t count)
+{
+    point *own = malloc((count > 0 ? count : 1) * sizeof *own);
+    for (uint32_t k = 0; own && k < trees->tiling_count; k++) {
+        lmg_tiling *t = &trees->tilings[k];
+        size_t n = 0;
+        for (size_t i = 0; i < count; i++)
+            if (root[i] == (int)k)
+                own[n++] = all[i];
+        const lmg_tiling plain = *t;
+        lmg_find_tiles(t, own, n);
+        if (!lmg_trees_set_roots(trees))
+            *t = plain;
+    }
+    free(own);
+    return own && lmg_trees_set_roots(trees);
 }
 
 /* Sorts the rays into the roots; sums up the roots' colours.  *flux: of all rays, in roots or not. */
@@ -530,8 +546,8 @@ static bool place_rays(growing *g, const lmg_ray *rays, size_t count, point **po
     lmg_trees *trees = g->trees;
     point *all = malloc((count > 0 ? count : 1) * sizeof *all), *sorted = malloc((count > 0 ? count : 1) * sizeof *sorted);
     int8_t *root = malloc(count > 0 ? count : 1);
-    double sum[LMG_MAX_SLABS] = {0}, colour[LMG_MAX_SLABS][3] = {{0}};
-    size_t held[LMG_MAX_SLABS] = {0};
+    double sum[LMG_MOST_ROOTS] = {0}, colour[LMG_MOST_ROOTS][3] = {{0}};
+    size_t held[LMG_MOST_ROOTS] = {0};
     *flux = 0;
     *points = sorted;
     for (size_t i = 0; i < count && all && sorted && root; i++) {
@@ -540,13 +556,17 @@ static bool place_rays(growing *g, const lmg_ray *rays, size_t count, point **po
         if (!(y > 0) || !isfinite(y))
             continue;
         *flux += y;
-        const int j = lmg_trees_root(trees, g->layout, rays[i].origin, rays[i].direction, all[i].at);
-        if (j < 0)
-            continue;
         all[i].flux = (float)y;
+        root[i] = (int8_t)lmg_trees_root(trees, g->layout, rays[i].origin, rays[i].direction, all[i].at);
+    }
+    const bool done = all && sorted && root && tile(trees, all, root, count);
+    for (size_t i = 0; i < count && done; i++) {
+        if (root[i] < 0)
+            continue;
+        const uint32_t j = lmg_tile_root(&trees->tilings[root[i]], all[i].at);
         root[i] = (int8_t)j;
         held[j]++;
-        sum[j] += y;
+        sum[j] += (double)all[i].flux;
         for (int c = 0; c < 3; c++)
             colour[j][c] += (double)rays[i].flux[c];
     }
@@ -557,12 +577,11 @@ static bool place_rays(growing *g, const lmg_ray *rays, size_t count, point **po
         for (int c = 0; c < 3; c++)
             r->colour[c] = g->layout->channels == 1 ? g->layout->colour[c] : sum[j] > 0 ? (float)(colour[j][c] / sum[j]) : 1;
     }
-    size_t at[LMG_MAX_SLABS];
+    size_t at[LMG_MOST_ROOTS];
     memcpy(at, g->first, sizeof at);
-    for (size_t i = 0; i < count && all && sorted && root; i++)
+    for (size_t i = 0; i < count && done; i++)
         if (root[i] >= 0)
             sorted[at[root[i]]++] = all[i];
-    const bool done = all && sorted && root;
     free(all);
     free(root);
     return done;
@@ -591,7 +610,8 @@ lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, size_t co
         return lmg_fail(err, LMG_ERROR_MEMORY, "trees: no memory");
     made->tree_count = trees;
     made->rays = count;
-    made->root_count = find_roots(&field->layout, made->roots);
+    made->tiling_count = find_wide(&field->layout, made->tilings);
+    lmg_trees_set_roots(made);
     growing g = {.layout = &field->layout, .trees = made};
     point *points = NULL;
     double flux;
@@ -626,6 +646,11 @@ lmg_tree_totals lmg_field_trees(const lmg_field *field)
     t.trees = field->trees->tree_count;
     t.rays = field->trees->rays;
     t.looks = field->trees->looks;
+    for (uint32_t k = 0; k < field->trees->tiling_count; k++) {
+        const lmg_tiling *x = &field->trees->tilings[k];
+        t.tiles += x->nu * x->nv > 1 ? x->nu * x->nv : 0;
+        t.kinds += x->nu * x->nv > 1 ? x->kinds : 0;
+    }
     for (uint32_t k = 0; k < t.trees; k++)
         t.leaves += field->trees->trees[k].leaves;
     t.memory = lmg_trees_memory(field->trees);

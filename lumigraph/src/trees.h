@@ -14,15 +14,28 @@
  *
  * Roots are the wide slabs of the layout whose (s,t) is a direction; windows over beams are parts of them, and the coarse slabs
  * that catch the rest have no trees.
+ *
+ * Louvres and arrays of lenses repeat themselves.  Their slab's rectangle of (u,v) is cut into equal tiles, and those of one kind, whose
+ * light photons can't tell apart, share a root and all its rays (trees_tile.c).
  */
 #ifndef LUMIGRAPH_TREES_H
 #define LUMIGRAPH_TREES_H
 
 #include <lumigraph/lumigraph.h>
 
+/* Tiles along one axis; kinds of a slab's; roots of all slabs. */
+enum { LMG_MOST_TILES = 16, LMG_MOST_KINDS = 16, LMG_MOST_ROOTS = 64 };
+
+typedef struct lmg_tiling {
+    uint32_t slab;                                /* of the layout */
+    uint32_t nu, nv;                              /* tiles; 1, 1: none */
+    uint32_t first, kinds;                        /* roots, one for each kind */
+    uint8_t kind[LMG_MOST_TILES * LMG_MOST_TILES]; /* of tile iv nu + iu */
+} lmg_tiling;
+
 typedef struct lmg_tree_root {
-    uint32_t slab;   /* of the layout, whose rectangle it is */
-    float colour[3]; /* R,G,B of its rays together, at luminance 1 */
+    uint32_t tiling, tiles; /* how many have it; its coordinates go from 0 to 1 in each */
+    float colour[3];        /* R,G,B of its rays together, at luminance 1 */
 } lmg_tree_root;
 
 /* In preorder: the first child of a fork follows it. */
@@ -42,15 +55,16 @@ enum { LMG_LEAF = 4, LMG_EDGE = 5, LMG_TREE_CUTS = 32, LMG_TREE_DEPTH = 64, LMG_
 typedef struct lmg_tree {
     lmg_tree_node *nodes;
     uint32_t count, leaves;
-    uint32_t first[LMG_MAX_SLABS]; /* node of each root */
-    double unit[LMG_MAX_SLABS];    /* of each root, cd/m2, what its leaves' codes are parts of: set so that the leaves' sum is the
+    uint32_t first[LMG_MOST_ROOTS]; /* node of each root */
+    double unit[LMG_MOST_ROOTS];    /* of each root, cd/m2, what its leaves' codes are parts of: set so that the leaves' sum is the
                                       root's light, whatever rounding did to them */
 } lmg_tree;
 
 typedef struct lmg_trees {
-    uint32_t tree_count, root_count;
+    uint32_t tree_count, tiling_count, root_count;
     uint64_t rays, looks; /* that they were grown of */
-    lmg_tree_root roots[LMG_MAX_SLABS];
+    lmg_tiling tilings[LMG_MAX_SLABS];
+    lmg_tree_root roots[LMG_MOST_ROOTS];
     lmg_tree trees[LMG_MOST_TREES];
 } lmg_trees;
 
@@ -156,6 +170,27 @@ const lmg_tree_node *lmg_tree_leaf(const lmg_tree *tree, uint32_t root, const fl
 
 /* The root that a ray is in, and where it is in its rectangle, from 0 to below 1; -1: in none. */
 int lmg_trees_root(const lmg_trees *trees, const lmg_layout *layout, lmg_vec3 origin, lmg_vec3 direction, float at[4]);
+
+/* A root's slab as far as etendue goes: a rectangle of (u,v) as large as all its tiles together. */
+lmg_slab lmg_root_slab(const lmg_trees *trees, const lmg_layout *layout, uint32_t root);
+
+/* Sets the roots by the tilings: all but their colours, and where tilings begin; false: too many. */
+bool lmg_trees_set_roots(lmg_trees *trees);
+
+/* The root of a place of a slab's rectangle; the place: from now on in its tile. */
+uint32_t lmg_tile_root(const lmg_tiling *t, float at[4]);
+
+/* A place u, v of the kind's which-th tile, from then on of the slab's rectangle; all in parts of them. */
+void lmg_tile_place(const lmg_tiling *t, uint32_t kind, uint32_t which, double *u, double *v);
+
+/* A ray in a root's rectangle, or a slab's. */
+typedef struct lmg_tree_point {
+    float at[4];
+    float flux; /* luminance, units */
+} lmg_tree_point;
+
+/* Finds tiles of a slab, t->slab, in the light of rays, sorted by something of their own. */
+void lmg_find_tiles(lmg_tiling *t, const lmg_tree_point *points, size_t count);
 
 /* Luminance there, cd/m2; variance, may be NULL: of it. */
 double lmg_trees_luminance(const lmg_trees *trees, int root, const float at[4], double *variance);

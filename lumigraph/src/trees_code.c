@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { VERSION = 2, HEAD = 24, PER_ROOT = 4 + 12, HASH = 8 };
+enum { VERSION = 3, HEAD = 24, PER_TILING = 8, PER_ROOT = 12, HASH = 8 };
 /* First bytes: of a dark leaf, of an edge; up to LEAST_FORK of a leaf with light. */
 enum { DARK = 0, EDGE = 1, LEAST_FORK = 0x80 };
 
@@ -76,6 +76,8 @@ static size_t size_of(const lmg_tree_node *n)
 size_t lmg_trees_size(const lmg_trees *trees)
 {
     size_t sum = HEAD + (size_t)trees->root_count * PER_ROOT + HASH;
+    for (uint32_t k = 0; k < trees->tiling_count; k++)
+        sum += PER_TILING + (size_t)trees->tilings[k].nu * trees->tilings[k].nv;
     for (uint32_t k = 0; k < trees->tree_count; k++) {
         sum += (size_t)trees->root_count * 8;
         for (uint32_t i = 0; i < trees->trees[k].count; i++)
@@ -92,14 +94,21 @@ unsigned char *lmg_trees_encode(const lmg_trees *trees, size_t *size)
     writer b = {start};
     put(&b, VERSION, 4);
     put(&b, trees->tree_count, 2);
-    put(&b, trees->root_count, 2);
+    put(&b, trees->tiling_count, 2);
     put(&b, trees->rays, 8);
     put(&b, trees->looks, 8);
-    for (uint32_t j = 0; j < trees->root_count; j++) {
-        put(&b, trees->roots[j].slab, 4);
+    for (uint32_t k = 0; k < trees->tiling_count; k++) {
+        const lmg_tiling *t = &trees->tilings[k];
+        put(&b, t->slab, 4);
+        put(&b, t->nu, 1);
+        put(&b, t->nv, 1);
+        put(&b, t->kinds, 2);
+        for (uint32_t i = 0; i < t->nu * t->nv; i++)
+            put(&b, t->kind[i], 1);
+    }
+    for (uint32_t j = 0; j < trees->root_count; j++)
         for (int c = 0; c < 3; c++)
             put_float(&b, trees->roots[j].colour[c]);
-    }
     for (uint32_t k = 0; k < trees->tree_count; k++) {
         const lmg_tree *tree = &trees->trees[k];
         for (uint32_t j = 0; j < trees->root_count; j++)
@@ -223,17 +232,37 @@ static bool get_tree(reader *r, const lmg_trees *trees, lmg_tree *tree)
     return true;
 }
 
+static bool get_tiling(reader *r, const lmg_layout *layout, lmg_tiling *t)
+{
+    *t = (lmg_tiling){.slab = (uint32_t)get(r, 4)};
+    t->nu = (uint32_t)get(r, 1);
+    t->nv = (uint32_t)get(r, 1);
+    t->kinds = (uint32_t)get(r, 2);
+    if (r->failed || t->slab >= layout->slab_count || t->nu < 1 || t->nu > LMG_MOST_TILES || t->nv < 1 || t->nv > LMG_MOST_TILES ||
+        t->kinds < 1 || t->kinds > LMG_MOST_KINDS)
+        return false;
+    for (uint32_t i = 0; i < t->nu * t->nv; i++) {
+        t->kind[i] = (uint8_t)get(r, 1);
+        if (t->kind[i] >= t->kinds)
+            return false;
+    }
+    return !r->failed && (layout->slabs[t->slab].kind != LMG_SLAB_CUBE || isinf(layout->slabs[t->slab].distance));
+}
+
 static bool get_roots(reader *r, const lmg_layout *layout, lmg_trees *trees)
 {
+    for (uint32_t k = 0; k < trees->tiling_count; k++)
+        if (!get_tiling(r, layout, &trees->tilings[k]))
+            return false;
+    if (!lmg_trees_set_roots(trees))
+        return false;
     for (uint32_t j = 0; j < trees->root_count; j++) {
-        lmg_tree_root *root = &trees->roots[j];
-        root->slab = (uint32_t)get(r, 4);
-        bool good = root->slab < layout->slab_count;
+        bool good = trees->roots[j].tiles > 0;
         for (int c = 0; c < 3; c++) {
-            root->colour[c] = get_float(r);
-            good = good && isfinite(root->colour[c]);
+            trees->roots[j].colour[c] = get_float(r);
+            good = good && isfinite(trees->roots[j].colour[c]);
         }
-        if (!good || r->failed || (layout->slabs[root->slab].kind == LMG_SLAB_CUBE && !isinf(layout->slabs[root->slab].distance)))
+        if (!good || r->failed)
             return false;
     }
     return true;
@@ -261,12 +290,12 @@ lmg_result lmg_trees_decode(const unsigned char *bytes, size_t size, const lmg_l
     if (!trees)
         return lmg_fail(err, LMG_ERROR_MEMORY, "no memory for its radiance trees");
     trees->tree_count = (uint32_t)get(&r, 2);
-    trees->root_count = (uint32_t)get(&r, 2);
+    trees->tiling_count = (uint32_t)get(&r, 2);
     trees->rays = get(&r, 8);
     trees->looks = get(&r, 8);
     r.edges = trees->looks > 0;
-    const bool possible = trees->tree_count >= 1 && trees->tree_count <= LMG_MOST_TREES && trees->root_count >= 1 &&
-                          trees->root_count <= LMG_MAX_SLABS;
+    const bool possible = trees->tree_count >= 1 && trees->tree_count <= LMG_MOST_TREES && trees->tiling_count >= 1 &&
+                          trees->tiling_count <= LMG_MAX_SLABS;
     if (!possible)
         trees->tree_count = 0;
     bool good = possible && get_roots(&r, layout, trees), memory = true;

@@ -87,8 +87,10 @@ static bool share_out(lmg_looks *looks, uint32_t k)
     uint32_t *leaf = looks->leaf[k] = malloc(tree->leaves * sizeof *leaf);
     if (!etendue || !density || !until || !leaf)
         return false;
-    for (uint32_t j = 0; j < trees->root_count; j++)
-        lmg_tree_etendues(tree, j, &looks->field->layout.slabs[trees->roots[j].slab], etendue);
+    for (uint32_t j = 0; j < trees->root_count; j++) {
+        const lmg_slab slab = lmg_root_slab(trees, &looks->field->layout, j);
+        lmg_tree_etendues(tree, j, &slab, etendue);
+    }
     double light = 0, squares = 0, sum = 0;
     uint32_t leaves = 0;
     for (uint32_t i = 0; i < tree->count; i++)
@@ -227,13 +229,21 @@ void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays)
             box = box_of(tree, root, leaf);
             before = leaf;
         }
-        const lmg_slab *slab = &layout->slabs[trees->roots[root].slab];
+        const lmg_tree_root *r = &trees->roots[root];
+        const lmg_tiling *tiling = &trees->tilings[r->tiling];
+        const lmg_slab *slab = &layout->slabs[tiling->slab];
         look *l = &looks->look[i];
         double uvst[4], k0, k1;
         float own[4];
         lmg_ray *ray = &rays[i - first];
         *ray = (lmg_ray){.flux = {1, 1, 1}, .number = lmg_mix(state) | (uint64_t)1 << 63};
         const bool drawn = draw_in(slab, &box, i, &state, l->at, uvst);
+        if (tiling->nu * tiling->nv > 1) {
+            double u = (double)l->at[0], v = (double)l->at[1];
+            lmg_tile_place(tiling, root - tiling->first, (uint32_t)(lmg_next_number(&state) * r->tiles), &u, &v);
+            uvst[0] = slab->u0 + (slab->u1 - slab->u0) * u;
+            uvst[1] = slab->v0 + (slab->v1 - slab->v0) * v;
+        }
         lmg_slab_ray(slab, uvst, &ray->origin, &ray->direction);
         looks->root[i] = (uint8_t)root;
         l->weight = drawn && lmg_trees_root(trees, layout, ray->origin, ray->direction, own) == (int)root
@@ -805,7 +815,8 @@ static lmg_result refine_tree(void *self, uint64_t k, void *scratch, lmg_error *
         for (size_t i = 0; i < looks->count; i++)
             if (looks->root[i] == j && looks->look[i].weight > 0)
                 own[p.count++] = looks->look[i];
-        s.slab = &looks->field->layout.slabs[trees->roots[j].slab];
+        const lmg_slab slab = lmg_root_slab(trees, &looks->field->layout, j);
+        s.slab = &slab;
         s.tree->first[j] = s.tree->count;
         sort_looks(&was, first, &p.box, own, 0, p.count);
         const double spread = measure_spread(&was, first, end, own, p.count);
@@ -827,7 +838,9 @@ lmg_result lmg_field_refine_trees(lmg_field *field, lmg_looks *looks, lmg_error 
     if (!made)
         return lmg_fail(err, LMG_ERROR_MEMORY, "trees: no memory");
     made->tree_count = field->trees->tree_count;
+    made->tiling_count = field->trees->tiling_count;
     made->root_count = field->trees->root_count;
+    memcpy(made->tilings, field->trees->tilings, sizeof made->tilings);
     made->rays = field->trees->rays;
     made->looks = looks->count;
     memcpy(made->roots, field->trees->roots, sizeof made->roots);

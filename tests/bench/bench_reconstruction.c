@@ -450,10 +450,11 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
     for (uint32_t r = 0; r < trees->root_count; r++)
         for (uint32_t k = 0; k < trees->tree_count; k++) {
             const lmg_tree *tree = &trees->trees[k];
-            const lmg_slab *slab = &field->layout.slabs[trees->roots[r].slab];
+            const lmg_tiling *tiling = &trees->tilings[trees->roots[r].tiling];
+            const lmg_slab *slab = &field->layout.slabs[tiling->slab], area = lmg_root_slab(trees, &field->layout, r);
             const uint32_t end = lmg_root_end(trees, tree, r);
             double *upto = reserve(end - tree->first[r], sizeof *upto), *etendue = reserve(tree->count, sizeof *etendue), sum = 0;
-            lmg_tree_etendues(tree, r, slab, etendue);
+            lmg_tree_etendues(tree, r, &area, etendue);
             for (uint32_t i = tree->first[r]; i < end; i++)
                 upto[i - tree->first[r]] = sum += tree->nodes[i].axis == LMG_LEAF ? (double)tree->nodes[i].radiance * etendue[i] : 0;
             const double light = sum / trees->tree_count;
@@ -478,8 +479,11 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
                     at = second ? fork->second : at + 1;
                 }
                 lmg_slab piece = *slab;
-                piece.u0 = slab->u0 + b.lo[0] * (slab->u1 - slab->u0), piece.u1 = slab->u0 + b.hi[0] * (slab->u1 - slab->u0);
-                piece.v0 = slab->v0 + b.lo[1] * (slab->v1 - slab->v0), piece.v1 = slab->v0 + b.hi[1] * (slab->v1 - slab->v0);
+                double u[2] = {b.lo[0], b.hi[0]}, v[2] = {b.lo[1], b.hi[1]};
+                for (int c = 0; c < 2; c++)
+                    lmg_tile_place(tiling, r - tiling->first, 0, &u[c], &v[c]);
+                piece.u0 = slab->u0 + u[0] * (slab->u1 - slab->u0), piece.u1 = slab->u0 + u[1] * (slab->u1 - slab->u0);
+                piece.v0 = slab->v0 + v[0] * (slab->v1 - slab->v0), piece.v1 = slab->v0 + v[1] * (slab->v1 - slab->v0);
                 piece.s0 = slab->s0 + b.lo[2] * (slab->s1 - slab->s0), piece.s1 = slab->s0 + b.hi[2] * (slab->s1 - slab->s0);
                 piece.t0 = slab->t0 + b.lo[3] * (slab->t1 - slab->t0), piece.t1 = slab->t0 + b.hi[3] * (slab->t1 - slab->t0);
                 piece.nu = piece.nv = piece.ns = piece.nt = 1;

@@ -229,7 +229,8 @@ static double light_of_root(const lmg_field *field, uint32_t tree, uint32_t root
     const lmg_tree_box whole = lmg_tree_whole();
     const lmg_tree *t = &field->trees->trees[tree];
     uint32_t node = t->first[root];
-    const double light = light_of(t, &field->layout.slabs[field->trees->roots[root].slab], &whole, &node);
+    const lmg_slab slab = lmg_root_slab(field->trees, &field->layout, root);
+    const double light = light_of(t, &slab, &whole, &node);
     assert_int_equal(node, root + 1 < field->trees->root_count ? t->first[root + 1] : t->count);
     return light;
 }
@@ -490,6 +491,92 @@ static void test_outlines(void **state)
         }
         lmg_field_destroy(field);
     }
+    free(rays);
+}
+
+static void same_bytes(const lmg_trees *a, const lmg_trees *b);
+
+/* Sixteen equal openings in a grid, each lit in a part of it. */
+static bool in_openings(const lmg_ray *r)
+{
+    const double u = fmod((r->origin.x + 0.06) / 0.03, 1), v = fmod((r->origin.y + 0.06) / 0.03, 1);
+    return fabs(r->origin.x) < 0.06 && fabs(r->origin.y) < 0.06 && u > 0.1 && u < 0.6 && v > 0.25 && v < 0.85 &&
+           hypot(r->direction.x, r->direction.y) < SINE;
+}
+
+/* Openings repeat themselves: rays shared by all of them tell more of each; where the slab isn't a whole number of them they don't. */
+static void test_tiles(void **state)
+{
+    (void)state;
+    enum { RAYS = 200000, ASKED = 20000, LOOKS = 100000 };
+    lmg_ray *rays = malloc(RAYS * sizeof *rays);
+    assert_non_null(rays);
+    for (size_t i = 0; i < RAYS; i++) {
+        lamp_rng g = lamp_stream(7, i);
+        rays[i] = disc_ray(&g, 1);
+        const double u = 0.1 + 0.5 * lamp_next(&g), v = 0.25 + 0.6 * lamp_next(&g);
+        rays[i].origin = (lmg_vec3){0.03 * ((int)(lamp_next(&g) * 4) + u) - 0.06, 0.03 * ((int)(lamp_next(&g) * 4) + v) - 0.06, 0};
+        rays[i].number = i;
+    }
+    const double radiance = 1 / (16 * 0.03 * 0.03 * 0.5 * 0.6 * PI * SINE * SINE);
+    double error[2][2];
+    for (int whole = 0; whole < 2; whole++) {
+        lmg_layout layout = one_slab(LMG_SLAB_APERTURE, INFINITY, 1);
+        layout.slabs[0].u0 = whole ? -0.06 : -0.07;
+        layout.slabs[0].v0 = whole ? -0.06 : -0.07;
+        lmg_field *field = field_of(&layout, rays, RAYS);
+        for (int looked = 0; looked < 2; looked++) {
+            grow(field, rays, RAYS, 8);
+            const lmg_tree_totals t = lmg_field_trees(field);
+            assert_true(whole ? t.tiles >= 16 && t.kinds < t.tiles / 4 : t.tiles == 0);
+            if (looked) {
+                lmg_error err = {{0}};
+                lmg_looks *looks;
+                lmg_ray *drawn = malloc(LOOKS * sizeof *drawn);
+                float(*seen_there)[3] = malloc(LOOKS * sizeof *seen_there);
+                assert_true(drawn && seen_there);
+                assert_int_equal(lmg_looks_create(field, LMG_LOOK_RADIANCE, LOOKS, 3, &looks, &err), LMG_OK);
+                lmg_looks_draw(looks, 0, LOOKS, drawn);
+                for (size_t i = 0; i < LOOKS; i++)
+                    for (int c = 0; c < 3; c++)
+                        seen_there[i][c] = in_openings(&drawn[i]) ? (float)radiance : 0;
+                lmg_looks_put(looks, 0, LOOKS, (const float(*)[3])seen_there);
+                assert_int_equal(lmg_field_refine_trees(field, looks, &err), LMG_OK);
+                assert_int_equal(lmg_field_trees(field).tiles, t.tiles);
+                lmg_looks_destroy(looks);
+                free(seen_there);
+                free(drawn);
+            }
+            for (uint32_t k = 0; k < 8; k++) {
+                double light = 0;
+                for (uint32_t j = 0; j < field->trees->root_count; j++)
+                    light += light_of_root(field, k, j);
+                assert_near(light, lmg_field_ledger(field).stored, 1e-6);
+            }
+            double squares = 0, lit = 0;
+            for (uint64_t i = 0; i < ASKED; i++) {
+                lamp_rng g = lamp_stream(93, i);
+                lmg_ray r = disc_ray(&g, 1.1);
+                r.origin = (lmg_vec3){0.12 * lamp_next(&g) - 0.06, 0.12 * lamp_next(&g) - 0.06, 0};
+                const double e = linear(field, &r, NULL) / radiance - in_openings(&r);
+                squares += e * e;
+                lit += in_openings(&r);
+            }
+            error[whole][looked] = sqrt(squares / lit);
+            size_t size;
+            unsigned char *bytes = lmg_trees_encode(field->trees, &size);
+            lmg_trees *back;
+            assert_non_null(bytes);
+            assert_int_equal(lmg_trees_decode(bytes, size, &layout, &back, NULL), LMG_OK);
+            same_bytes(field->trees, back);
+            lmg_trees_destroy(back);
+            free(bytes);
+        }
+        lmg_field_destroy(field);
+    }
+    print_message("RMS error of radiance: each for itself %.3f, with looks %.3f; tiles %.3f, %.3f\n", error[0][0], error[0][1], error[1][0],
+                  error[1][1]);
+    assert_true(error[1][0] < 0.6 * error[0][0] && error[1][1] < 0.6 * error[0][1]);
     free(rays);
 }
 
@@ -843,12 +930,15 @@ static void test_files(void **state)
 enum {
     AT_VERSION = 0,
     AT_TREES = 4,
-    AT_ROOTS = 6,
+    AT_TILINGS = 6,
     AT_LOOKS = 16,
     AT_SLAB = 24,
-    AT_COLOUR = 28,
-    AT_UNIT = 40,
-    AT_NODES = 48,
+    AT_TILES = 28,
+    AT_KINDS = 30,
+    AT_KIND = 32,
+    AT_COLOUR = 33,
+    AT_UNIT = 45,
+    AT_NODES = 53,
     HASH = 8
 };
 
@@ -978,15 +1068,22 @@ static void test_impossible_forests(void **state)
     bytes = realloc(bytes, size + 1);
     assert_non_null(bytes);
 #define WITH(place, value) decode_with(bytes, size, &layout, place, &(value), sizeof(value))
-    assert_int_equal(WITH(AT_VERSION, (uint32_t){1}), LMG_ERROR_FILE_VERSION);
+    assert_int_equal(WITH(AT_VERSION, (uint32_t){2}), LMG_ERROR_FILE_VERSION);
     static const uint16_t COUNTS[] = {0, 1, 3, LMG_MOST_TREES + 1, 65535};
     for (int i = 0; i < 5; i++) {
         assert_int_equal(WITH(AT_TREES, COUNTS[i]), LMG_ERROR_FILE_FORMAT);
         if (COUNTS[i] != 1)
-            assert_int_equal(WITH(AT_ROOTS, COUNTS[i]), LMG_ERROR_FILE_FORMAT);
+            assert_int_equal(WITH(AT_TILINGS, COUNTS[i]), LMG_ERROR_FILE_FORMAT);
     }
     assert_int_equal(WITH(AT_SLAB, (uint32_t){1}), LMG_ERROR_FILE_FORMAT);
     assert_int_equal(WITH(AT_SLAB, (uint32_t){UINT32_MAX}), LMG_ERROR_FILE_FORMAT);
+    static const uint16_t TILES[] = {0, 1, 0x0100, 0x0111, 0x1101, 0x0102};
+    for (int i = 0; i < 6; i++)
+        assert_int_equal(WITH(AT_TILES, TILES[i]), LMG_ERROR_FILE_FORMAT);
+    static const uint16_t KINDS[] = {0, 2, LMG_MOST_KINDS + 1, 65535};
+    for (int i = 0; i < 4; i++)
+        assert_int_equal(WITH(AT_KINDS, KINDS[i]), LMG_ERROR_FILE_FORMAT);
+    assert_int_equal(WITH(AT_KIND, (uint8_t){1}), LMG_ERROR_FILE_FORMAT);
     static const double NUMBERS[] = {-1, NAN, INFINITY, -INFINITY};
     for (int i = 0; i < 4; i++) {
         assert_int_equal(WITH(AT_UNIT, NUMBERS[i]), LMG_ERROR_FILE_FORMAT);
@@ -1083,7 +1180,7 @@ int main(void)
         cmocka_unit_test(test_standard_errors),    cmocka_unit_test(test_colours),      cmocka_unit_test(test_asked_for),
         cmocka_unit_test(test_same_again),         cmocka_unit_test(test_files),        cmocka_unit_test(test_cut_and_flipped),
         cmocka_unit_test(test_impossible_forests), cmocka_unit_test(test_codes),        cmocka_unit_test(test_looks),
-        cmocka_unit_test(test_looks_errors), cmocka_unit_test(test_outlines),       cmocka_unit_test(test_edges),        cmocka_unit_test(test_impossible_edges),
+        cmocka_unit_test(test_looks_errors), cmocka_unit_test(test_outlines), cmocka_unit_test(test_tiles),       cmocka_unit_test(test_edges),        cmocka_unit_test(test_impossible_edges),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

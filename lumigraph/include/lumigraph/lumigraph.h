@@ -343,6 +343,7 @@ LMG_API lmg_result lmg_field_refine_trees(lmg_field *field, lmg_looks *looks, lm
 /* What the field has of them; zeros for none. */
 typedef struct lmg_tree_totals {
     uint32_t trees;
+    uint32_t tiles, kinds; /* of slabs whose light repeats itself, such as a louvre's: tiles of one kind share their rays; 0: none does */
     uint64_t leaves, rays, looks;
     size_t memory; /* bytes, part of lmg_field_memory */
 } lmg_tree_totals;
