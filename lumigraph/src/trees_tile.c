@@ -177,6 +177,7 @@ static bool sort_tiles(lmg_tiling *t, uint32_t nu, uint32_t nv, const lmg_tree_p
     *worth = 0;
     for (uint32_t k = 0; k < sorted.kinds; k++)
         *worth += members[k] * log(members[k]) / tiles;
+    *worth = rint(*worth * 1e6) * 1e-6; /* the same with every library's logarithm */
     *t = sorted;
     return true;
 }
