@@ -149,12 +149,12 @@ static lmg_result is_worth_it(const bake_trees *t, const lmg_field *field, bool 
 {
     lmg_looks *looks = NULL;
     const lmg_result result = look(t, field, FEW_LOOKS, &looks, err);
-    if (result == LMG_OK) {
+    if (result == LMG_OK && !stopped(t)) {
         const double misplaced = lmg_looks_misplaced(looks);
         *worth_it = misplaced >= LEAST_MISPLACED;
         if (!*worth_it)
             snprintf(t->report->looks_why, sizeof(t->report->looks_why),
-                     "none: paths would tell outlines only, beyond which the trees have hardly any light (%.2g %%)", 100 * misplaced);
+                     "none: paths would tell outlines only, beyond which the trees have hardly any radiance (%.2g %%, RMS)", 100 * misplaced);
     }
     lmg_looks_destroy(looks);
     return result;

@@ -187,7 +187,7 @@ static void look_chunk(void *self, void *state, uint64_t first, uint64_t count)
             atomic_store(&j->failed, true);
             return;
         }
-        for (size_t k = 0; k < n; ++k)
+        for (size_t k = 0; k < n && j->kind == LMG_LOOK_RADIANCE; ++k)
             for (int c = 0; c < 3; ++c)
                 s->radiance[k][c] *= (float)j->scale;
         lmg_looks_put(j->looks, (size_t)(first + done), n, (const float(*)[3])s->radiance);

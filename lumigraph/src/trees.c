@@ -168,8 +168,8 @@ static double share_below(const double parts[4], double at)
 
 double lmg_edge_etendue(const lmg_slab *slab, const lmg_tree_box *box, const int normal[4], unsigned cut)
 {
-    /* etendue is even over the box of an aperture slab, and wherever the edge is across u and v alone; over a cube slab's it is taken
-     * as even in each of some parts of its directions */
+    /* etendue is even over the box of an aperture slab, and wherever the edge is across u and v alone; over a cube slab's it is
+     * taken as even in each of some parts of its directions */
     const int n = slab->kind == LMG_SLAB_CUBE && (normal[2] != 0 || normal[3] != 0) ? EDGE_PARTS : 1;
     double range = 0, parts[4], sum = 0;
     for (int k = 0; k < 4; k++) {
@@ -520,6 +520,8 @@ static uint32_t find_wide(const lmg_layout *layout, lmg_tiling tilings[LMG_MAX_S
     }
     return count;
 }
+
+_Static_assert((int)LMG_MAX_SLABS <= (int)LMG_MOST_ROOTS && LMG_MOST_ROOTS <= INT8_MAX, "a root for each slab, numbered by int8_t");
 
 /* Finds the tiles of all wide slabs, whose roots are one for each so far; root: of each ray, -1 for none. */
 static bool tile(lmg_trees *trees, const point *all, const int8_t *root, size_t count)

@@ -9,14 +9,15 @@
  * lie elsewhere by chance [geurts2006], is finer than each and has less noise, since every ray counts in all of them.
  *
  * Photons tell where light is, and that to the size of a leaf: what has edges needs some ten of them on this side of each.  An eye
- * that looks into the lamp sees both sides, mostly without noise.  Where the baker can say what it sees, rays spread over the leaves
- * divide them further (trees_look.c), and a leaf may have an *edge*, a hyperplane across its box with another radiance on each side.
+ * that looks into the lamp sees both sides, mostly without noise.  Where the baker can say what it sees, rays spread over the
+ * leaves divide them further (trees_look.c), and a leaf may have an *edge*, a hyperplane across its box with another radiance on
+ * each side.
  *
  * Roots are the wide slabs of the layout whose (s,t) is a direction; windows over beams are parts of them, and the coarse slabs
  * that catch the rest have no trees.
  *
- * Louvres and arrays of lenses repeat themselves.  Their slab's rectangle of (u,v) is cut into equal tiles, and those of one kind, whose
- * light photons can't tell apart, share a root and all its rays (trees_tile.c).
+ * Louvres and arrays of lenses repeat themselves.  Their slab's rectangle of (u,v) is cut into equal tiles, and those of one kind,
+ * whose light photons can't tell apart, share a root and all its rays (trees_tile.c).
  */
 #ifndef LUMIGRAPH_TREES_H
 #define LUMIGRAPH_TREES_H
@@ -27,9 +28,9 @@
 enum { LMG_MOST_TILES = 16, LMG_MOST_KINDS = 16, LMG_MOST_ROOTS = 64 };
 
 typedef struct lmg_tiling {
-    uint32_t slab;                                /* of the layout */
-    uint32_t nu, nv;                              /* tiles; 1, 1: none */
-    uint32_t first, kinds;                        /* roots, one for each kind */
+    uint32_t slab;                                 /* of the layout */
+    uint32_t nu, nv;                               /* tiles; 1, 1: none */
+    uint32_t first, kinds;                         /* roots, one for each kind */
     uint8_t kind[LMG_MOST_TILES * LMG_MOST_TILES]; /* of tile iv nu + iu */
 } lmg_tiling;
 
@@ -49,7 +50,8 @@ typedef struct lmg_tree_node {
     uint16_t code; /* leaf: see lmg_leaf_code; edge: its normal, see lmg_edge_normal */
 } lmg_tree_node;
 
-/* LMG_TREE_BYTES: what trees take of a file at most, so that the cost of reading them is bounded.  8 trees of 16 M looks take 6 MB (spot). */
+/* LMG_TREE_BYTES: what trees take of a file at most, so that the cost of reading them is bounded.  8 trees of 16 M looks take 6 MB
+ * (spot). */
 enum { LMG_LEAF = 4, LMG_EDGE = 5, LMG_TREE_CUTS = 32, LMG_TREE_DEPTH = 64, LMG_TREE_BYTES = 1 << 25 };
 
 typedef struct lmg_tree {
@@ -131,8 +133,8 @@ static inline uint32_t lmg_root_end(const lmg_trees *trees, const lmg_tree *tree
     return root + 1 < trees->root_count ? tree->first[root + 1] : tree->count;
 }
 
-/* Sets the codes of a root's leaves, nodes first .. end - 1, to these luminances, in any unit, and relative variances, and the unit so that
- * together they have so much light, lm. */
+/* Sets the codes of a root's leaves, nodes first .. end - 1, to these luminances, in any unit, and relative variances, and the unit
+ * so that together they have so much light, lm. */
 void lmg_tree_set_leaves(lmg_tree *tree, uint32_t root, uint32_t end, const double *luminance, const float *variance,
                          const double *etendue, double light);
 

@@ -2,10 +2,10 @@
 /*
  * Looks: rays along which somebody says what an eye sees, and trees grown of them.
  *
- * They are drawn from the leaves of the photons' trees, some more from bright ones.  Leaves are small where light is strong or sharp,
- * so looks are dense there; a look's weight is the etendue that it stands for, one over the density of looks of all trees together.
- * Each tree keeps its forks and divides its leaves further, as a regression tree does [breiman1984]: by what is seen, not by how
- * many rays there are.  Errors of the mean of a leaf are those of a mean, small where all looks see the same.
+ * They are drawn from the leaves of the photons' trees, some more from bright ones.  Leaves are small where light is strong or
+ * sharp, so looks are dense there; a look's weight is the etendue that it stands for, one over the density of looks of all trees
+ * together. Each tree keeps its forks and divides its leaves further, as a regression tree does [breiman1984]: by what is seen, not
+ * by how many rays there are.  Errors of the mean of a leaf are those of a mean, small where all looks see the same.
  */
 #include "etendue.h"
 #include "field.h"
@@ -74,9 +74,9 @@ static size_t looks_of(const lmg_looks *looks, uint32_t tree)
     return (tree + 1 < looks->trees->tree_count ? first_of(looks, tree + 1) : looks->count) - first_of(looks, tree);
 }
 
-/* Shares the looks of a tree out among its leaves, as the root of their luminance: so that errors count where it is bright, and dark
- * ones aren't left out.  With as many for each the panel's radiance is off by 17.2 instead of 16.9 %, the lens' by 12.7 instead of
- * 12.0, of 4 M looks; in proportion to luminance by 17.1, 12.5. */
+/* Shares the looks of a tree out among its leaves, as the root of their luminance: so that errors count where it is bright, and
+ * dark ones aren't left out.  With as many for each the panel's radiance is off by 17.2 instead of 16.9 %, the lens' by 12.7
+ * instead of 12.0, of 4 M looks; in proportion to luminance by 17.1, 12.5. */
 static bool share_out(lmg_looks *looks, uint32_t k)
 {
     const lmg_trees *trees = looks->trees;
@@ -115,9 +115,9 @@ lmg_result lmg_looks_create(const lmg_field *field, lmg_look_kind kind, size_t c
 {
     *out = NULL;
     const lmg_trees *trees = field ? field->trees : NULL;
-    if (!trees || trees->looks > 0 || count < 1)
+    if (!trees || trees->looks > 0 || count < 1 || count > UINT32_MAX)
         return lmg_fail(err, LMG_ERROR_ARGUMENT,
-                        "looks: need a field with trees that are grown of photons alone, and 1 look or more");
+                        "looks: need a field with trees that are grown of photons alone, and 1 to 2^32 - 1 looks");
     lmg_looks *made = calloc(1, sizeof *made);
     bool done = made != NULL;
     if (done) {
@@ -153,9 +153,11 @@ static lmg_tree_box box_of(const lmg_tree *tree, uint32_t root, uint32_t leaf)
     return b;
 }
 
-/* A ray of the box, uniform in etendue: its place in the root and in the slab.  Consecutive numbers give rays that keep their distance:
- * an additive recurrence whose steps are powers of the generalised golden ratio of four dimensions [roberts2018]. */
-static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, uint64_t number, uint64_t *state, float at[4], double uvst[4])
+/* A ray of the box, uniform in etendue: its place in the root and in the slab.  Consecutive numbers give rays that keep their
+ * distance: an additive recurrence whose steps are powers of the generalised golden ratio of four dimensions [roberts2018], begun
+ * somewhere by chance, shift. */
+static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, const double shift[4], uint64_t number, uint64_t *state,
+                    float at[4], double uvst[4])
 {
     static const double STEP[4] = {0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101};
     const double lo[4] = {slab->u0, slab->v0, slab->s0, slab->t0}, hi[4] = {slab->u1, slab->v1, slab->s1, slab->t1};
@@ -168,7 +170,7 @@ static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, uint64_t numb
     }
     for (int i = 0; i < TRIES; i++) {
         for (int k = 0; k < 4; k++) {
-            const double x = i == 0 ? fmod(0.5 + (double)number * STEP[k], 1) : lmg_next_number(state);
+            const double x = i == 0 ? fmod(shift[k] + (double)number * STEP[k], 1) : lmg_next_number(state);
             at[k] = (float)fmin(box->lo[k] + (box->hi[k] - box->lo[k]) * x, 1 - 0x1p-24);
             uvst[k] = lo[k] + (hi[k] - lo[k]) * (double)at[k];
         }
@@ -182,7 +184,8 @@ static bool draw_in(const lmg_slab *slab, const lmg_tree_box *box, uint64_t numb
 }
 
 /* Etendue that a look stands for: one over the looks that a unit of it holds, of all trees together (the balance heuristic
- * [veach1995mis]).  With those of fewer trees weights are less even: of two, the panel's radiance is off by 17.2 instead of 16.1 %. */
+ * [veach1995mis]).  With those of fewer trees weights are less even: of two, the panel's radiance is off by 17.2 instead of 16.1 %.
+ */
 static double weight_at(const lmg_looks *looks, uint32_t root, const float at[4])
 {
     double density = 0;
@@ -212,6 +215,10 @@ void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays)
     const lmg_trees *trees = looks->trees;
     const lmg_layout *layout = &looks->field->layout;
     uint32_t k = 0, root = 0, before = UINT32_MAX;
+    uint64_t of_seed = lmg_mix(lmg_next_key(looks->seed));
+    double shift[4];
+    for (int c = 0; c < 4; c++)
+        shift[c] = lmg_next_number(&of_seed);
     lmg_tree_box box = lmg_tree_whole();
     for (size_t i = first; i < first + count; i++) {
         uint64_t state = lmg_mix(lmg_next_key(looks->seed) + i);
@@ -237,7 +244,7 @@ void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays)
         float own[4];
         lmg_ray *ray = &rays[i - first];
         *ray = (lmg_ray){.flux = {1, 1, 1}, .number = lmg_mix(state) | (uint64_t)1 << 63};
-        const bool drawn = draw_in(slab, &box, i, &state, l->at, uvst);
+        const bool drawn = draw_in(slab, &box, shift, i, &state, l->at, uvst);
         if (tiling->nu * tiling->nv > 1) {
             double u = (double)l->at[0], v = (double)l->at[1];
             lmg_tile_place(tiling, root - tiling->first, (uint32_t)(lmg_next_number(&state) * r->tiles), &u, &v);
@@ -258,7 +265,7 @@ void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*r
 {
     for (size_t i = 0; i < count; i++) {
         const double y = lmg_luminance(radiance[i]), seen = y > 0 && isfinite(y) ? y : 0;
-        looks->look[first + i].luminance = looks->kind == LMG_LOOK_OUTLINE ? seen > 0 : (float)seen;
+        looks->look[first + i].luminance = looks->kind == LMG_LOOK_RADIANCE ? (float)seen : seen > 0 ? 1.0F : 0.0F;
     }
 }
 
@@ -433,8 +440,8 @@ LMG_WIDE static void regress(const look *l, size_t count, size_t step, const lmg
     }
 }
 
-/* The normals to be tried, most of them different ones: luminance grows fastest along an edge's normal, which the regression tells a
- * little too blunt or too sharp; and edges of what lies along an axis are in one coordinate of place and one of direction. */
+/* The normals to be tried, most of them different ones: luminance grows fastest along an edge's normal, which the regression tells
+ * a little too blunt or too sharp; and edges of what lies along an axis are in one coordinate of place and one of direction. */
 static void choose_normals(const double slope[4], int normal[NORMALS][4])
 {
     double steepness[4], most = 0;
@@ -534,7 +541,7 @@ static edge choose_edge(const piece *p)
     if (chosen < 0)
         return best;
     memcpy(best.normal, normal[chosen], sizeof best.normal);
-    for (size_t i = 0; i < p->count; i += step) {
+    for (size_t i = 0; i < p->count; i++) {
         const float *at = p->looks[i].at;
         double y = r.start[chosen];
         for (int k = 0; k < 4; k++)
@@ -655,7 +662,8 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
     }
     if (s->failed)
         return own;
-    const uint32_t below = s->tree->count - me - 1; /* nodes; one more than half of them are leaves, and as many if there are edges */
+    const uint32_t below =
+        s->tree->count - me - 1; /* nodes; one more than half of them are leaves, and as many if there are edges */
     const edge e = below / 2 < MOST_INSTEAD ? choose_edge(p) : (edge){.score = -INFINITY};
     const bool has_edge = e.score > own;
     const double alone = has_edge ? e.score : own;
@@ -713,9 +721,9 @@ static double measure_spread(const former *was, uint32_t first, uint32_t end, co
     return squares > 0 ? fmax(variances / squares, LEAST_SPREAD) : UNKNOWN_SPREAD;
 }
 
-/* Sets the light of a leaf that has been grown to pieces, nodes first and on, whose luminances add up to so much light: looks divide
- * it; how much there is, photons tell as well, each as far as it is certain: as photons that are to be expected, since those that
- * are there go with what they tell.  all: sums of the leaf's looks; spread: relative variance of one. */
+/* Sets the light of a leaf that has been grown to pieces, nodes first and on, whose luminances add up to so much light: looks
+ * divide it; how much there is, photons tell as well, each as far as it is certain: as photons that are to be expected, since those
+ * that are there go with what they tell.  all: sums of the leaf's looks; spread: relative variance of one. */
 static void mix_light(lmg_sapling *s, uint32_t first, const piece *leaf, double light, const sums *all, double spread)
 {
     const double looks = all->weight * all->weight / all->weights2 / spread, mean = mean_of(all, leaf);
@@ -746,6 +754,8 @@ static void divide_light(lmg_sapling *s, uint32_t first, const piece *leaf, doub
         s->luminance[i] = luminance * part;
         s->variance[i] = part > 0 ? s->variance[i] + (float)leaf->variance : 0;
     }
+    if (s->tree->count == first + 1) /* a leaf still */
+        s->variance[first] = (float)leaf->variance;
 }
 
 /* Goes down a tree as it was, whose forks stay, and grows its leaves.  spread: relative variance of a look, of all leaves together:

@@ -6,15 +6,16 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Tiles are compared in so many bins along u and v, and along s and t; and in halves along each, which tell what differs all over. */
+/* Tiles are compared in so many bins along u and v, and along s and t; and in halves along each, which tell what differs all over.
+ */
 enum { PLACES = 4, DIRECTIONS = 8, BINS = PLACES * PLACES * DIRECTIONS * DIRECTIONS, GROUPS = 16 };
 /* Standard deviations of chance beyond which tiles differ: all bins together and the tiles' light; a single bin, of a thousand. */
 static const double DIFFERENT = 4, DIFFERENT_BIN = 6;
-/* Photons of a tile: four standard deviations of their number are 6 %, which looks would tell apart. */
+/* Photons of a tile, unless it has none: with fewer nothing can be told. */
 static const double FEWEST = 5000;
 /* Rays that tell how many tiles along one axis are worth a closer look, and how many of these numbers get one. */
 enum { LOOKED_AT = 400000, FINALISTS = 3 };
-/* Logarithm of how often the light of a tile repeats, on average, below which tiles aren't worth it. */
+/* Logarithm of how often light repeats, on average, below which tiles aren't worth it. */
 static const double WORTH_IT = 1.5;
 
 uint32_t lmg_tile_root(const lmg_tiling *t, float at[4])
@@ -73,9 +74,9 @@ typedef struct bin {
     double flux, squares;
 } bin;
 
-/* Sum of squared deviations in bins of a tile from those of a kind's members' mean, in units of their variance, over what chance makes
- * of it, in standard deviations; infinite where a bin differs.  Chance is that of all of them together, since a bin without photons
- * knows nothing of its own; bins of less than one are taken as one. */
+/* Sum of squared deviations in bins of a tile from those of a kind's members' mean, in units of their variance, over what chance
+ * makes of it, in standard deviations; infinite where a bin differs.  Chance is that of all of them together, since a bin without
+ * photons knows nothing of its own; bins of less than one are taken as one. */
 static double deviation_in(const bin *tile, const bin *kind, double members, int count)
 {
     double chi = 0, expected = 0, chance = 0;
@@ -109,8 +110,8 @@ static double deviation(const bin *tile, const bin *kind, double members)
     bin groups[2][GROUPS] = {{{0}}}, all[2] = {{0}};
     for (int k = 0; k < 2; k++)
         for (int b = 0; b < BINS; b++) {
-            const int u = b / (PLACES * DIRECTIONS * DIRECTIONS), v = b / (DIRECTIONS * DIRECTIONS) % PLACES, s = b / DIRECTIONS % DIRECTIONS,
-                      t = b % DIRECTIONS;
+            const int u = b / (PLACES * DIRECTIONS * DIRECTIONS), v = b / (DIRECTIONS * DIRECTIONS) % PLACES,
+                      s = b / DIRECTIONS % DIRECTIONS, t = b % DIRECTIONS;
             bin *g = &groups[k][((u * 2 / PLACES * 2 + v * 2 / PLACES) * 2 + s * 2 / DIRECTIONS) * 2 + t * 2 / DIRECTIONS];
             const bin *x = k == 0 ? &tile[b] : &kind[b];
             g->flux += x->flux;
@@ -124,14 +125,58 @@ static double deviation(const bin *tile, const bin *kind, double members)
     return fmax(deviation_in(tile, kind, members, BINS), deviation_in(groups[0], groups[1], members, GROUPS));
 }
 
+/* A test of many differences together. */
+typedef struct test {
+    double chi, expected, chance; /* sum of squares in units of variance, what chance makes of it, variance of that */
+} test;
+
+/* Adds the scatter of a kind's tiles about their mean in one bin, every size-th of these. */
+static void add_scatter(test *all, const lmg_tiling *t, uint32_t kind, double members, const bin *bins, size_t size)
+{
+    double flux = 0, squares = 0, scatter = 0;
+    for (uint32_t i = 0; i < t->nu * t->nv; i++)
+        if (t->kind[i] == kind) {
+            flux += bins[i * size].flux;
+            squares += bins[i * size].squares;
+        }
+    flux /= members;
+    squares /= members;
+    if (!(squares > 0) || flux * flux < squares) /* less than a photon in a tile */
+        return;
+    for (uint32_t i = 0; i < t->nu * t->nv; i++)
+        if (t->kind[i] == kind)
+            scatter += (bins[i * size].flux - flux) * (bins[i * size].flux - flux);
+    all->chi += scatter / squares;
+    all->expected += members - 1;
+    all->chance += (members - 1) * (2 + squares / (flux * flux));
+}
+
+/* Whether the tiles of all kinds scatter about their means as chance has them: single tiles of light that changes slowly may each
+ * be near enough to a kind; together they aren't. */
+static bool scatter_is_chance(const lmg_tiling *t, const uint32_t members[LMG_MOST_KINDS], const bin *bins, const bin *light)
+{
+    test of_light = {0}, of_bins = {0};
+    for (uint32_t k = 0; k < t->kinds; k++) {
+        if (members[k] < 2)
+            continue;
+        add_scatter(&of_light, t, k, members[k], light, 1);
+        for (size_t b = 0; b < BINS; b++)
+            add_scatter(&of_bins, t, k, members[k], bins + b, BINS);
+    }
+    return of_light.chi - of_light.expected <= DIFFERENT * sqrt(of_light.chance) &&
+           of_bins.chi - of_bins.expected <= DIFFERENT * sqrt(of_bins.chance);
+}
+
 /* Cuts the rectangle into nu x nv tiles and sorts them by kind: each joins the kind that is most like it, or founds one.  Of every
- * step-th ray.  *worth: mean logarithm of how many tiles share their light.  False: too many kinds or too few rays; no memory. */
+ * step-th ray.  *worth: mean logarithm, by light, of how many tiles share it.  False: too many kinds, too few rays in a tile, or
+ * kinds whose tiles aren't alike; no memory. */
 static bool sort_tiles(lmg_tiling *t, uint32_t nu, uint32_t nv, const lmg_tree_point *p, size_t count, size_t step, double *worth)
 {
     const uint32_t tiles = nu * nv;
-    if ((double)(count / step) < FEWEST * tiles)
+    if ((double)(count / step) < FEWEST)
         return false;
     bin *bins = calloc((size_t)tiles * BINS, sizeof *bins), *kinds = calloc((size_t)LMG_MOST_KINDS * BINS, sizeof *kinds);
+    bin light[LMG_MOST_TILES * LMG_MOST_TILES] = {{0}};
     uint32_t members[LMG_MOST_KINDS] = {0};
     const lmg_tiling cut = {.nu = nu, .nv = nv};
     bool good = bins && kinds;
@@ -140,12 +185,23 @@ static bool sort_tiles(lmg_tiling *t, uint32_t nu, uint32_t nv, const lmg_tree_p
         float at[4];
         memcpy(at, p[i].at, sizeof at);
         lmg_tile_root(&cut, at);
-        const uint32_t b = (((uint32_t)(at[0] * PLACES) * PLACES + (uint32_t)(at[1] * PLACES)) * DIRECTIONS +
-                            (uint32_t)(at[2] * DIRECTIONS)) * DIRECTIONS + (uint32_t)(at[3] * DIRECTIONS);
+        const uint32_t b =
+            (((uint32_t)(at[0] * PLACES) * PLACES + (uint32_t)(at[1] * PLACES)) * DIRECTIONS + (uint32_t)(at[2] * DIRECTIONS)) *
+                DIRECTIONS +
+            (uint32_t)(at[3] * DIRECTIONS);
         bin *here = &bins[(size_t)(iv * nu + iu) * BINS + b];
         const double flux = (double)p[i].flux;
         here->flux += flux;
         here->squares += flux * flux;
+    }
+    double all = 0;
+    for (uint32_t i = 0; good && i < tiles; i++) {
+        for (int b = 0; b < BINS; b++) {
+            light[i].flux += bins[(size_t)i * BINS + (size_t)b].flux;
+            light[i].squares += bins[(size_t)i * BINS + (size_t)b].squares;
+        }
+        all += light[i].flux;
+        good = !(light[i].flux > 0) || light[i].flux * light[i].flux >= FEWEST * light[i].squares;
     }
     lmg_tiling sorted = {.slab = t->slab, .nu = nu, .nv = nv};
     for (uint32_t i = 0; good && i < tiles; i++) {
@@ -170,13 +226,14 @@ static bool sort_tiles(lmg_tiling *t, uint32_t nu, uint32_t nv, const lmg_tree_p
             kinds[(size_t)kind * BINS + (size_t)b].squares += tile[b].squares;
         }
     }
+    good = good && scatter_is_chance(&sorted, members, bins, light);
     free(bins);
     free(kinds);
     if (!good)
         return false;
     *worth = 0;
-    for (uint32_t k = 0; k < sorted.kinds; k++)
-        *worth += members[k] * log(members[k]) / tiles;
+    for (uint32_t i = 0; i < tiles; i++)
+        *worth += light[i].flux * log(members[sorted.kind[i]]) / all;
     *worth = rint(*worth * 1e6) * 1e-6; /* the same with every library's logarithm */
     *t = sorted;
     return true;
@@ -185,12 +242,13 @@ static bool sort_tiles(lmg_tiling *t, uint32_t nu, uint32_t nv, const lmg_tree_p
 /* The numbers of tiles along one axis that are worth most by themselves, and one tile, which always goes. */
 static int find_numbers(const lmg_tree_point *p, size_t count, int axis, uint32_t numbers[FINALISTS + 1])
 {
+    const size_t step = count > LOOKED_AT ? (count + LOOKED_AT - 1) / LOOKED_AT : 1;
     double worths[FINALISTS + 1] = {0};
     int found = 0;
     for (uint32_t n = 2; n <= LMG_MOST_TILES; n++) {
         lmg_tiling t = {0};
         double worth;
-        if (!sort_tiles(&t, axis == 0 ? n : 1, axis == 0 ? 1 : n, p, count, count / LOOKED_AT + 1, &worth) || !(worth > 0))
+        if (!sort_tiles(&t, axis == 0 ? n : 1, axis == 0 ? 1 : n, p, count, step, &worth) || !(worth > 0))
             continue;
         int k = found < FINALISTS ? found++ : FINALISTS;
         for (; k > 0 && worths[k - 1] < worth; k--)

@@ -122,8 +122,8 @@ static void grow(lmg_field *field, const lmg_ray *rays, size_t count, uint32_t t
     assert_int_equal(lmg_field_trees(field).trees, trees);
 }
 
-/* What an eye sees: the disc; or with the variance of so many photons, nothing or more than there is; or only whether the disc is there,
- * from wherever it may shine. */
+/* What an eye sees: the disc; or with the variance of so many photons, nothing or more than there is; or only whether the disc is
+ * there, from wherever it may shine. */
 static float seen(const lmg_ray *ray, lmg_look_kind kind, double noise)
 {
     if (kind == LMG_LOOK_OUTLINE)
@@ -441,8 +441,8 @@ static void test_looks(void **state)
     free(rays);
 }
 
-/* An eye that sees only where the disc is: little is left beside it, and on it is all the light that there was, within its cone as far
- * as photons told that. */
+/* An eye that sees only where the disc is: little is left beside it, and on it is all the light that there was, within its cone as
+ * far as photons told that. */
 static void test_outlines(void **state)
 {
     (void)state;
@@ -472,8 +472,9 @@ static void test_outlines(void **state)
             }
         }
         const double of_outlines = disc_error(field, &inside);
-        print_message("%s: RMS error of radiance: photons %.3f, outlines %.3f; mean inside %.4f, %.4f; beside the disc %.5f, %.5f\n",
-                      c == 0 ? "aperture" : "cube", of_photons, of_outlines, before, inside, beside[0], beside[1]);
+        print_message(
+            "%s: RMS error of radiance: photons %.3f, outlines %.3f; mean inside %.4f, %.4f; beside the disc %.5f, %.5f\n",
+            c == 0 ? "aperture" : "cube", of_photons, of_outlines, before, inside, beside[0], beside[1]);
         assert_true(of_outlines < 0.9 * of_photons);
         assert_true(inside > before && inside < 1.005);
         assert_true(beside[1] < 0.5 * beside[0]);
@@ -504,7 +505,8 @@ static bool in_openings(const lmg_ray *r)
            hypot(r->direction.x, r->direction.y) < SINE;
 }
 
-/* Openings repeat themselves: rays shared by all of them tell more of each; where the slab isn't a whole number of them they don't. */
+/* Openings repeat themselves: rays shared by all of them tell more of each; where the slab isn't a whole number of them they don't.
+ */
 static void test_tiles(void **state)
 {
     (void)state;
@@ -574,8 +576,8 @@ static void test_tiles(void **state)
         }
         lmg_field_destroy(field);
     }
-    print_message("RMS error of radiance: each for itself %.3f, with looks %.3f; tiles %.3f, %.3f\n", error[0][0], error[0][1], error[1][0],
-                  error[1][1]);
+    print_message("RMS error of radiance: each for itself %.3f, with looks %.3f; tiles %.3f, %.3f\n", error[0][0], error[0][1],
+                  error[1][0], error[1][1]);
     assert_true(error[1][0] < 0.6 * error[0][0] && error[1][1] < 0.6 * error[0][1]);
     free(rays);
 }
@@ -612,14 +614,17 @@ static void test_looks_errors(void **state)
             mean += sum[i] / SEEDS / ASKED;
             spread += (squares[i] - sum[i] * sum[i] / SEEDS) / (SEEDS - 1) / ASKED;
         }
-        print_message("%s: mean %.4f, spread %.3f, standard error %.3f\n", c == 0 ? "inside, noisy looks" : c == 1 ? "all over" : "outlines", mean,
-                      sqrt(spread), sqrt(variance));
+        print_message("%s: mean %.4f, spread %.3f, standard error %.3f\n",
+                      c == 0   ? "inside, noisy looks"
+                      : c == 1 ? "all over"
+                               : "outlines",
+                      mean, sqrt(spread), sqrt(variance));
         assert_true(spread > 0.64 * variance && spread < 1.57 * variance);
     }
 }
 
-/* Etendue on one side of an edge, against counting; the inside of an edge's first side is around a corner.  The box of the cube slab
- * spans a quarter of its directions, more than a leaf with an edge does. */
+/* Etendue on one side of an edge, against counting; the inside of an edge's first side is around a corner.  The box of the cube
+ * slab spans a quarter of its directions, more than a leaf with an edge does. */
 static void test_edges(void **state)
 {
     (void)state;
@@ -1117,6 +1122,65 @@ static void test_impossible_forests(void **state)
     free(bytes);
 }
 
+/* A tree over tiles, a leaf for each kind; its size. */
+static size_t make_tiled(unsigned char *bytes, uint8_t nu, uint8_t nv, uint16_t kinds, const uint8_t *kind)
+{
+    unsigned char *at = bytes + AT_TILES;
+    bytes[AT_TREES] = 1;
+    *at++ = nu;
+    *at++ = nv;
+    memcpy(at, &kinds, sizeof kinds);
+    at += sizeof kinds;
+    memcpy(at, kind, (size_t)nu * nv);
+    at += (size_t)nu * nv;
+    for (int i = 0; i < 3 * kinds; i++, at += sizeof(float))
+        memcpy(at, &(float){1}, sizeof(float));
+    for (int i = 0; i < kinds; i++, at += sizeof(double))
+        memcpy(at, &(double){1}, sizeof(double));
+    for (int i = 0; i < kinds; i++) {
+        *at++ = 100;
+        *at++ = 3;
+    }
+    const size_t size = (size_t)(at - bytes) + HASH;
+    make_hash(bytes, size);
+    return size;
+}
+
+static void test_impossible_tiles(void **state)
+{
+    (void)state;
+    lmg_layout layout;
+    size_t size;
+    unsigned char *bytes = small_forest(&layout, &size);
+    bytes = realloc(bytes, size + 4096);
+    assert_non_null(bytes);
+    uint8_t kind[17 * 17];
+    for (int i = 0; i < 17 * 17; i++)
+        kind[i] = (uint8_t)(i % 16);
+    static const struct {
+        uint8_t nu, nv;
+        uint16_t kinds;
+        lmg_result result;
+    } CASES[] = {
+        {16, 16, 16, LMG_OK},
+        {16, 1, 16, LMG_OK},
+        {4, 4, 16, LMG_OK},
+        {0, 1, 16, LMG_ERROR_FILE_FORMAT},
+        {1, 0, 16, LMG_ERROR_FILE_FORMAT},
+        {17, 1, 16, LMG_ERROR_FILE_FORMAT},
+        {1, 17, 16, LMG_ERROR_FILE_FORMAT},
+        {16, 16, 15, LMG_ERROR_FILE_FORMAT}, /* a kind too many in its tiles */
+        {16, 16, 17, LMG_ERROR_FILE_FORMAT},
+        {3, 5, 16, LMG_ERROR_FILE_FORMAT}, /* a kind without tiles */
+        {16, 16, 0, LMG_ERROR_FILE_FORMAT},
+    };
+    for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
+        size = make_tiled(bytes, CASES[i].nu, CASES[i].nv, CASES[i].kinds, kind);
+        assert_int_equal(decode(bytes, size, &layout), CASES[i].result);
+    }
+    free(bytes);
+}
+
 /* An edge as the only node of a root, and what is none. */
 static void test_impossible_edges(void **state)
 {
@@ -1180,7 +1244,8 @@ int main(void)
         cmocka_unit_test(test_standard_errors),    cmocka_unit_test(test_colours),      cmocka_unit_test(test_asked_for),
         cmocka_unit_test(test_same_again),         cmocka_unit_test(test_files),        cmocka_unit_test(test_cut_and_flipped),
         cmocka_unit_test(test_impossible_forests), cmocka_unit_test(test_codes),        cmocka_unit_test(test_looks),
-        cmocka_unit_test(test_looks_errors), cmocka_unit_test(test_outlines), cmocka_unit_test(test_tiles),       cmocka_unit_test(test_edges),        cmocka_unit_test(test_impossible_edges),
+        cmocka_unit_test(test_looks_errors),       cmocka_unit_test(test_outlines),     cmocka_unit_test(test_tiles),
+        cmocka_unit_test(test_impossible_tiles),   cmocka_unit_test(test_edges),        cmocka_unit_test(test_impossible_edges),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

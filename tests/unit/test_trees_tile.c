@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Tiles of light that repeats itself, found among points of a slab's rectangle: a louvre of 5 x 3 cells, whose light goes where blades
- * let it through; the same with one cell that differs; light that is even all over; light that doesn't repeat.
+ * Tiles of light that repeats itself, found among points of a slab's rectangle: a louvre of 5 x 3 cells, whose light goes where
+ * blades let it through; the same with one cell that differs; light that is even all over; light that doesn't repeat, or changes
+ * slowly.
  */
 #include "lamp_fixture.h"
 #include "trees.h"
@@ -17,7 +18,7 @@
 
 enum { CELLS_U = 5, CELLS_V = 3 };
 
-typedef enum light { LOUVRE, ODD_CELL, BRIGHT_CELL, EVEN, SLANTED } light;
+typedef enum light { LOUVRE, ODD_CELL, BRIGHT_CELL, EVEN, SLANTED, GRADIENT, WEAK_GRADIENT, FALLOFF, STRAY } light;
 
 /* Relative, at a place of the rectangle: within a cell light goes away from the nearer blade. */
 static double light_at(light kind, const double x[4])
@@ -29,6 +30,14 @@ static double light_at(light kind, const double x[4])
         return 0.5;
     case SLANTED:
         return fabs(x[2] - x[0]) < 0.2 && fabs(x[3] - x[1]) < 0.2;
+    case GRADIENT:
+        return 0.7 + 0.3 * x[0];
+    case WEAK_GRADIENT:
+        return 0.9 + 0.1 * x[1];
+    case FALLOFF:
+        return 1 - 2 * ((x[0] - 0.5) * (x[0] - 0.5) + (x[1] - 0.5) * (x[1] - 0.5));
+    case STRAY: /* a beam in the middle, and some light beside it */
+        return fabs(x[0] - 0.5) < 0.1 && fabs(x[1] - 0.5) < 0.1 ? 1 : 0.001;
     case LOUVRE:
     case ODD_CELL:
     case BRIGHT_CELL:
@@ -109,8 +118,14 @@ static void test_even_and_slanted(void **state)
         const lmg_tiling even = found(EVEN, seed, 100000);
         assert_true(even.nu * even.nv >= 9 && even.nu * even.nv <= 20 && even.kinds <= 2);
     }
-    lmg_tiling t = found(SLANTED, 1, 400000);
-    assert_true(t.nu == 1 && t.nv == 1 && t.kinds == 1 && t.kind[0] == 0);
+    lmg_tiling t;
+    static const light NONE[] = {SLANTED, GRADIENT, WEAK_GRADIENT, FALLOFF, STRAY};
+    for (int k = 0; k < 5; k++) {
+        t = found(NONE[k], 1, NONE[k] == GRADIENT ? 1500000 : 700000);
+        /* a gradient along one axis repeats along the other */
+        assert_true(NONE[k] == GRADIENT || NONE[k] == WEAK_GRADIENT ? t.nu * t.nv == t.kinds || t.nu == 1 || t.nv == 1
+                                                                    : t.nu == 1 && t.nv == 1 && t.kinds == 1 && t.kind[0] == 0);
+    }
     t = found(LOUVRE, 1, 5000);
     assert_true(t.nu == 1 && t.nv == 1);
     lmg_find_tiles(&t, NULL, 0);
@@ -142,8 +157,8 @@ static void test_places(void **state)
     trees->tilings[0] = (lmg_tiling){.slab = 0, .nu = 1, .nv = 1, .kinds = 1};
     trees->tilings[1] = t;
     assert_true(lmg_trees_set_roots(trees));
-    assert_true(trees->root_count == 3 && trees->tilings[1].first == 1 && trees->roots[1].tiles == 3 && trees->roots[2].tiles == 3 &&
-                trees->roots[2].tiling == 1);
+    assert_true(trees->root_count == 3 && trees->tilings[1].first == 1 && trees->roots[1].tiles == 3 &&
+                trees->roots[2].tiles == 3 && trees->roots[2].tiling == 1);
     trees->tiling_count = 5;
     for (int k = 0; k < 5; k++)
         trees->tilings[k] = (lmg_tiling){.nu = 16, .nv = 1, .kinds = LMG_MOST_KINDS};

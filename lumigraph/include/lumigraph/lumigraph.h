@@ -296,6 +296,8 @@ LMG_API lmg_result lmg_field_scale(lmg_field *field, double factor, lmg_error *e
  * lmg_field_radiance with LMG_LINEAR asks them where they are.  Sampling, emission, illuminance and intensity don't.
  * rays: of the same light as the field, as many as tell where it is: their sum is taken to be all that is stored and residual; sorted by
  * something of their own, since trees depend on their order.  trees: 2 to LMG_MOST_TREES, 0 takes them away.  Colours are the cells'.
+ * Where the light of a slab repeats itself over equal parts of it, as a louvre's does, and the rays don't tell these apart, they share their
+ * rays.
  * Slabs that get trees: of a layout of more than six all but the last six, which lmg_layout_fit makes to catch the rest; windows are parts of the
  * wide slab behind them.  On failure the field is as before.
  * Errors: LMG_ERROR_ARGUMENT (no ray in a wide slab), LMG_ERROR_UNSUPPORTED (no slab whose (s,t) is a direction; more of them
@@ -316,7 +318,7 @@ LMG_API lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, s
 typedef enum lmg_look_kind { LMG_LOOK_RADIANCE, LMG_LOOK_OUTLINE } lmg_look_kind;
 typedef struct lmg_looks lmg_looks;
 
-/* The field, which has to have trees, is borrowed and has to stay as it is.  count: 1 or more; each takes some 30 bytes, and as many
+/* The field, which has to have trees, is borrowed and has to stay as it is.  count: 1 to 2^32 - 1; each takes some 30 bytes, and as many
  * again for each thread that grows trees of them.  Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_MEMORY. */
 LMG_API lmg_result lmg_looks_create(const lmg_field *field, lmg_look_kind kind, size_t count, uint64_t seed, lmg_looks **out,
                                     lmg_error *err);
@@ -332,7 +334,7 @@ LMG_API void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ra
 LMG_API void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*radiance)[3]);
 
 /* Of radiance as the trees have it, weighted with etendue, how much is where looks see none: the root of the share of its squares, 0 to
- * 1.  Once all looks have been put. */
+ * 1.  Once all looks have been put, before trees are refined by them. */
 LMG_API double lmg_looks_misplaced(const lmg_looks *looks);
 
 /* Grows the field's trees anew, of what was seen along all looks; each tree keeps its light.  field: the looks' own.  Once: afterwards looks
