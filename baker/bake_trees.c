@@ -16,7 +16,7 @@ static const double LOOKS_PER_PHOTON = 2;
 /* Variance of a look over that of a photon, beyond which looks tell outlines only: with 18 the opal globe's trees are a little worse. */
 static const double MOST_LOOK_NOISE = 0.5;
 static const uint64_t NOISE_PHOTONS = 8192;
-/* Outlines are worth their time where so much of radiance, by squares, lies beyond them; so many looks tell. */
+/* Outlines are worth their time where so much of radiance, RMS, lies beyond them (lmg_looks_misplaced); so many looks tell. */
 static const double LEAST_MISPLACED = 0.03;
 static const uint64_t FEW_LOOKS = 20000;
 

@@ -469,7 +469,7 @@ bool bake_tracer_has_outline(const bake_source *source, const char **why)
 
 void bake_tracer_outline(const bake_source *source, const lmg_ray *rays, size_t count, float (*met)[3])
 {
-    enum { TOGETHER = 64 };
+    enum { TOGETHER = LUM_MAX_RAYS };
     const tracer *t = (const tracer *)source;
     const lmg_vec3 centre = t->model->centre;
     lmg_vec3 origin[TOGETHER], direction[TOGETHER];

@@ -171,7 +171,7 @@ double lmg_edge_etendue(const lmg_slab *slab, const lmg_tree_box *box, const int
     /* etendue is even over the box of an aperture slab, and wherever the edge is across u and v alone; over a cube slab's it is
      * taken as even in each of some parts of its directions */
     const int n = slab->kind == LMG_SLAB_CUBE && (normal[2] != 0 || normal[3] != 0) ? EDGE_PARTS : 1;
-    double range = 0, parts[4], sum = 0;
+    double range = 0, parts[4], sum = 0, all = 0;
     for (int k = 0; k < 4; k++) {
         range += abs(normal[k]);
         parts[k] = abs(normal[k]) / (double)(k < 2 ? 1 : n);
@@ -186,9 +186,12 @@ double lmg_edge_etendue(const lmg_slab *slab, const lmg_tree_box *box, const int
             part.lo[3] = box->lo[3] + j * t;
             part.hi[3] = part.lo[3] + t;
             const double before = parts[2] * (normal[2] >= 0 ? i : n - 1 - i) + parts[3] * (normal[3] >= 0 ? j : n - 1 - j);
-            sum += lmg_tree_etendue(slab, &part) * share_below(parts, at - before);
+            const double etendue = lmg_tree_etendue(slab, &part);
+            sum += etendue * share_below(parts, at - before);
+            all += etendue;
         }
-    return sum;
+    /* as a share, which no rounding takes out of 0 to 1 */
+    return all > 0 ? lmg_tree_etendue(slab, box) * fmin(sum / all, 1) : 0;
 }
 
 /* -------------------------------------------------------------------------------------------------------------- asking */

@@ -13,8 +13,8 @@
  * leaves divide them further (trees_look.c), and a leaf may have an *edge*, a hyperplane across its box with another radiance on
  * each side.
  *
- * Roots are the wide slabs of the layout whose (s,t) is a direction; windows over beams are parts of them, and the coarse slabs
- * that catch the rest have no trees.
+ * Trees belong to the wide slabs of the layout whose (s,t) is a direction; windows over beams are parts of them, and the coarse
+ * slabs that catch the rest have none.
  *
  * Louvres and arrays of lenses repeat themselves.  Their slab's rectangle of (u,v) is cut into equal tiles, and those of one kind,
  * whose light photons can't tell apart, share a root and all its rays (trees_tile.c).

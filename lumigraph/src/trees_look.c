@@ -115,7 +115,7 @@ lmg_result lmg_looks_create(const lmg_field *field, lmg_look_kind kind, size_t c
 {
     *out = NULL;
     const lmg_trees *trees = field ? field->trees : NULL;
-    if (!trees || trees->looks > 0 || count < 1 || count > UINT32_MAX)
+    if (!trees || trees->looks > 0 || count < 1 || count > UINT32_MAX || (kind != LMG_LOOK_RADIANCE && kind != LMG_LOOK_OUTLINE))
         return lmg_fail(err, LMG_ERROR_ARGUMENT,
                         "looks: need a field with trees that are grown of photons alone, and 1 to 2^32 - 1 looks");
     lmg_looks *made = calloc(1, sizeof *made);
@@ -409,6 +409,8 @@ typedef struct edge {
 
 /* Normals that are tried at once. */
 enum { NORMALS = 4 };
+/* Boxes that places, numbers of 24 bits, don't resolve have no edge along such an axis. */
+static const double THINNEST = 0x1p-18;
 
 /* An edge's coordinate, in cuts: start + slope * place. */
 typedef struct ramps {
@@ -436,7 +438,7 @@ LMG_WIDE static void regress(const look *l, size_t count, size_t step, const lmg
     }
     for (int k = 0; k < 4; k++) {
         const double spread = x2[k] - x1[k] * x1[k] / weight;
-        slope[k] = spread > 0 ? (xy[k] - x1[k] * light / weight) / spread : 0;
+        slope[k] = spread > 0 && box->hi[k] - box->lo[k] > THINNEST ? (xy[k] - x1[k] * light / weight) / spread : 0;
     }
 }
 
@@ -466,9 +468,8 @@ LMG_WIDE static void sort_into_bins(const look *l, size_t count, size_t step, co
         lmg_double4 y = r->start;
         for (int k = 0; k < 4; k++)
             y += r->slope[k] * (double)l[i].at[k];
-        const lmg_int4 at = __builtin_convertvector(y, lmg_int4);
-        for (int n = 0; n < NORMALS; n++) { /* within, but for rounding */
-            double *bin = bins[n][at[n] < LMG_EDGE_CUTS ? at[n] : LMG_EDGE_CUTS - 1];
+        for (int n = 0; n < NORMALS; n++) { /* within, but for rounding, which may be anything in a box that is too thin */
+            double *bin = bins[n][!(y[n] > 0) ? 0 : y[n] < LMG_EDGE_CUTS - 1 ? (int)y[n] : LMG_EDGE_CUTS - 1];
             bin[0] += w;
             bin[1] += wy;
         }
@@ -823,7 +824,7 @@ static lmg_result refine_tree(void *self, uint64_t k, void *scratch, lmg_error *
             light += tree->nodes[i].axis == LMG_LEAF ? (double)tree->nodes[i].radiance * was.etendue[i] : 0;
         piece p = {.looks = own, .box = lmg_tree_whole(), .key = lmg_next_key(lmg_next_key(~k) ^ j)};
         for (size_t i = 0; i < looks->count; i++)
-            if (looks->root[i] == j && looks->look[i].weight > 0)
+            if (looks->look[i].weight > 0 && looks->root[i] == j)
                 own[p.count++] = looks->look[i];
         const lmg_slab slab = lmg_root_slab(trees, &looks->field->layout, j);
         s.slab = &slab;
