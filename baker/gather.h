@@ -41,7 +41,7 @@ lmg_result bake_look_noise(const bake_source *tracer, const lmg_ray *rays, size_
 
 /* Traces all looks (lmg_looks) along which radiance trees are grown, in rounds, so that *stop (may be NULL) is heard
  * between them and the rest stays untraced.  kind: theirs.  flux: lumens that the lamp's sources emit, after rescaling. */
-lmg_result bake_look_run(const bake_source *tracer, lmg_looks *looks, lmg_look_kind kind, double flux, unsigned threads, const volatile sig_atomic_t *stop,
-                         lmg_error *err);
+lmg_result bake_look_run(const bake_source *tracer, lmg_looks *looks, lmg_look_kind kind, double flux, unsigned threads,
+                         const volatile sig_atomic_t *stop, lmg_error *err);
 
 #endif
