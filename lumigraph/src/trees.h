@@ -10,7 +10,7 @@
  *
  * Photons tell where light is, and that to the size of a leaf: what has edges needs some ten of them on this side of each.  An eye
  * that looks into the lamp sees both sides, mostly without noise.  Where the baker can say what it sees, rays spread over the
- * leaves divide them further (trees_look.c), and a leaf may have an *edge*, a hyperplane across its box with another radiance on
+ * leaves divide them further (trees_look.c, trees_refine.c), and a leaf may have an *edge*, a hyperplane across its box with another radiance on
  * each side.
  *
  * Trees belong to the wide slabs of the layout whose (s,t) is a direction; windows over beams are parts of them, and the coarse
