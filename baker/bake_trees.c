@@ -1,10 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "bake_trees.h"
 
+#include "look.h"
 #include "parallel.h"
+#include "tracer.h"
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 
 /* Rays for trees are traced once more in rounds of so many photons, so that Ctrl-C is heard. */
 static const uint64_t TREE_ROUND = 200000;
@@ -18,7 +21,7 @@ static const double MOST_LOOK_NOISE = 0.5;
 static const uint64_t NOISE_PHOTONS = 8192;
 /* Outlines are worth their time where so much of radiance, RMS, lies beyond them (lmg_looks_misplaced); so many looks tell. */
 static const double LEAST_MISPLACED = 0.03;
-static const uint64_t FEW_LOOKS = 20000;
+static const uint64_t FEW_LOOKS = 100000;
 
 static bool stopped(const bake_trees *t)
 {
@@ -136,22 +139,19 @@ lmg_result bake_trees_begin(bake_trees *t, double seconds, lmg_error *err)
     return keep_rays(t, err);
 }
 
-/* Draws and traces so many looks; *looks: the caller's to destroy. */
-static lmg_result look(const bake_trees *t, const lmg_field *field, uint64_t count, lmg_looks **looks, lmg_error *err)
+/* Whether outlines have anything to tell: some looks say how bright which surface is, *brightness, the caller's, and how much of the trees'
+ * radiance is where less is expected. */
+static lmg_result survey(const bake_trees *t, const lmg_field *field, const lmg_ray *rays, size_t count, float **brightness, bool *worth_it,
+                         lmg_error *err)
 {
     const bake_options *o = t->options;
-    const lmg_result result = lmg_looks_create(field, t->kind, (size_t)count, o->seed, looks, err);
-    return result != LMG_OK ? result : bake_look_run(t->tracer, *looks, t->kind, t->report->flux_lm, o->threads, o->stop, err);
-}
-
-/* Whether outlines have anything to tell: some looks say how much of the trees' radiance lies beyond them. */
-static lmg_result is_worth_it(const bake_trees *t, const lmg_field *field, bool *worth_it, lmg_error *err)
-{
-    lmg_looks *looks = NULL;
-    const lmg_result result = look(t, field, FEW_LOOKS, &looks, err);
-    if (result == LMG_OK && !stopped(t)) {
+    lmg_looks *looks;
+    lmg_result result = lmg_looks_create(field, LMG_LOOK_OUTLINE, FEW_LOOKS, o->seed, &looks, err);
+    if (result == LMG_OK)
+        result = bake_look_brightness(t->tracer, looks, rays, count, o->threads, brightness, err);
+    if (result == LMG_OK) {
         const double misplaced = lmg_looks_misplaced(looks);
-        *worth_it = misplaced >= LEAST_MISPLACED;
+        *worth_it = misplaced >= LEAST_MISPLACED || o->looks_chosen;
         if (!*worth_it)
             snprintf(t->report->looks_why, sizeof(t->report->looks_why),
                      "none: paths would tell outlines only, beyond which the trees have hardly any radiance (%.2g %%, RMS)", 100 * misplaced);
@@ -160,23 +160,27 @@ static lmg_result is_worth_it(const bake_trees *t, const lmg_field *field, bool 
     return result;
 }
 
-/* Refines the trees by what is seen inside the lamp; they stay as they are if somebody says stop. */
-static lmg_result look_into(const bake_trees *t, lmg_field *field, lmg_error *err)
+/* Refines the trees by what is seen of the lamp; they stay as they are if somebody says stop. */
+static lmg_result look_into(const bake_trees *t, lmg_field *field, const lmg_ray *rays, size_t ray_count, lmg_error *err)
 {
     const bake_options *o = t->options;
     const double photons = (double)t->part->tally.photons;
     const uint64_t count = o->looks_chosen ? o->looks : (uint64_t)fmin(LOOKS_PER_PHOTON * photons, (double)t->most_looks);
     bool worth_it = true;
-    lmg_result result = LMG_OK;
-    if (count > 0 && t->kind == LMG_LOOK_OUTLINE && !o->looks_chosen)
-        result = is_worth_it(t, field, &worth_it, err);
-    if (result != LMG_OK || count == 0 || !worth_it || stopped(t))
-        return result;
+    float *brightness = NULL;
     lmg_looks *looks = NULL;
-    result = look(t, field, count, &looks, err);
-    if (result == LMG_OK && !stopped(t))
-        result = lmg_field_refine_trees(field, looks, err);
+    lmg_result result = LMG_OK;
+    if (count > 0 && t->kind == LMG_LOOK_OUTLINE)
+        result = survey(t, field, rays, ray_count, &brightness, &worth_it, err);
+    if (result == LMG_OK && count > 0 && worth_it && !stopped(t)) {
+        result = lmg_looks_create(field, t->kind, (size_t)count, o->seed, &looks, err);
+        if (result == LMG_OK)
+            result = bake_look_run(t->tracer, looks, brightness, t->report->flux_lm, o->threads, o->stop, err);
+        if (result == LMG_OK && !stopped(t))
+            result = lmg_field_refine_trees(field, looks, err);
+    }
     lmg_looks_destroy(looks);
+    free(brightness);
     return result;
 }
 
@@ -197,7 +201,7 @@ void bake_trees_grow(bake_trees *t, lmg_field *field)
         const lmg_ray *rays = bake_ray_list_sorted(t->kept, &count);
         if (result == LMG_OK)
             result = lmg_field_grow_trees(field, rays, count, o->trees, &why);
-        if (result == LMG_OK && look_into(t, field, &why) != LMG_OK)
+        if (result == LMG_OK && look_into(t, field, rays, count, &why) != LMG_OK)
             snprintf(r->looks_why, sizeof(r->looks_why), "none: %s", why.message);
     }
     r->trees_seconds = bake_clock() - began;

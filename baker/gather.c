@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Rays traced backwards into the lamp: for all cells that are gathered, with the pilot that decides whether that pays; and the looks of
- * radiance trees. */
+/* Rays traced backwards into the lamp for all cells that are gathered, with the pilot that decides whether that pays. */
 #include "gather.h"
 
 #include "parallel.h"
@@ -118,101 +117,6 @@ lmg_result bake_gather_run(const bake_source *tracer, lmg_gathering *gathering, 
     const lmg_result result = run(&j, threads, err);
     if (segments)
         *segments += j.segments;
-    return result;
-}
-
-/* --------------------------------------------------------------------------------------------------------------- looks */
-
-enum { LOOK_ROUND = 400000 };
-
-typedef struct look_job {
-    const bake_source *tracer;
-    lmg_looks *looks;
-    lmg_look_kind kind;
-    double scale; /* of the model's emission */
-    atomic_bool failed;
-} look_job;
-
-/* Paths that go round for ever, or no memory. */
-static lmg_result cant_look(lmg_error *err)
-{
-    return lmg_fail(err, LMG_ERROR_MEMORY, "rays traced backwards: no memory, or they go round for ever");
-}
-
-lmg_result bake_look_noise(const bake_source *tracer, const lmg_ray *rays, size_t count, double *noise, lmg_error *err)
-{
-    enum { PAIRS = 4096 };
-    const size_t pairs = count < PAIRS ? count : PAIRS;
-    lmg_ray *twice = malloc((2 * pairs + 1) * sizeof(*twice));
-    float(*radiance)[3] = malloc((2 * pairs + 1) * sizeof(*radiance));
-    const bool seen = twice && radiance;
-    for (size_t i = 0; i < 2 * pairs && seen; ++i) {
-        twice[i] = rays[i / 2 * count / pairs];
-        twice[i].number = UINT64_MAX - i; /* looks of trees have random ones */
-    }
-    const bool done = seen && bake_tracer_look(tracer, twice, 2 * pairs, radiance, NULL);
-    double squares = 0, differences = 0;
-    for (size_t i = 0; i < pairs && done; ++i) {
-        const double a = lmg_luminance(radiance[2 * i]), b = lmg_luminance(radiance[2 * i + 1]);
-        squares += a * b;
-        differences += 0.5 * (a - b) * (a - b);
-    }
-    *noise = squares > 0 ? differences / squares : (double)INFINITY;
-    free(twice);
-    free(radiance);
-    return done ? LMG_OK : cant_look(err);
-}
-
-typedef struct look_state {
-    lmg_ray ray[ENOUGH_RAYS];
-    float radiance[ENOUGH_RAYS][3];
-} look_state;
-
-static void *look_begin(void *self)
-{
-    (void)self;
-    return malloc(sizeof(look_state));
-}
-
-static void look_chunk(void *self, void *state, uint64_t first, uint64_t count)
-{
-    look_job *j = self;
-    look_state *s = state;
-    for (uint64_t done = 0; done < count && !atomic_load_explicit(&j->failed, memory_order_relaxed);) {
-        const size_t n = (size_t)(count - done < ENOUGH_RAYS ? count - done : ENOUGH_RAYS);
-        lmg_looks_draw(j->looks, (size_t)(first + done), n, s->ray);
-        if (j->kind == LMG_LOOK_OUTLINE)
-            bake_tracer_outline(j->tracer, s->ray, n, s->radiance);
-        else if (!bake_tracer_look(j->tracer, s->ray, n, s->radiance, NULL)) {
-            atomic_store(&j->failed, true);
-            return;
-        }
-        for (size_t k = 0; k < n && j->kind == LMG_LOOK_RADIANCE; ++k)
-            for (int c = 0; c < 3; ++c)
-                s->radiance[k][c] *= (float)j->scale;
-        lmg_looks_put(j->looks, (size_t)(first + done), n, (const float(*)[3])s->radiance);
-        done += n;
-    }
-}
-
-static void look_end(void *self, void *state)
-{
-    (void)self;
-    free(state);
-}
-
-lmg_result bake_look_run(const bake_source *tracer, lmg_looks *looks, lmg_look_kind kind, double flux, unsigned threads,
-                         const volatile sig_atomic_t *stop, lmg_error *err)
-{
-    look_job j = {.tracer = tracer, .looks = looks, .kind = kind, .scale = flux / bake_tracer_emission(tracer)};
-    const bake_work work = {.self = &j, .begin = look_begin, .chunk = look_chunk, .end = look_end};
-    const uint64_t count = lmg_looks_count(looks);
-    lmg_result result = LMG_OK;
-    for (uint64_t first = 0; result == LMG_OK && first < count && !(stop && *stop); first += LOOK_ROUND) {
-        result = bake_parallel(&work, first, count - first < LOOK_ROUND ? count - first : LOOK_ROUND, threads, err);
-        if (result == LMG_OK && atomic_load(&j.failed))
-            result = cant_look(err);
-    }
     return result;
 }
 

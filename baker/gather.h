@@ -13,8 +13,6 @@
 
 #include "source.h"
 
-#include <signal.h>
-
 /* What the pilot says. */
 typedef struct bake_gather_plan {
     double rays_per_photon; /* stored ones; 0: photons only */
@@ -33,15 +31,5 @@ lmg_result bake_gather_decide(const bake_source *tracer, const lmg_layout *layou
 /* Traces all rays of a gathering.  flux: lumens that the lamp's sources emit, after rescaling.  segments, may be NULL: added to. */
 lmg_result bake_gather_run(const bake_source *tracer, lmg_gathering *gathering, double flux, unsigned threads, uint64_t *segments,
                            lmg_error *err);
-
-/* Variance of a single look along rays of light, over the squared radiance there: 0 where mirrors and clear glass lead to emitters, some
- * tens where light finds its way out by many bounces.  For that two looks each go along some of the rays; none of them sees light: infinite.
- * Errors: LMG_ERROR_MEMORY. */
-lmg_result bake_look_noise(const bake_source *tracer, const lmg_ray *rays, size_t count, double *noise, lmg_error *err);
-
-/* Traces all looks (lmg_looks) along which radiance trees are grown, in rounds, so that *stop (may be NULL) is heard
- * between them and the rest stays untraced.  kind: theirs.  flux: lumens that the lamp's sources emit, after rescaling. */
-lmg_result bake_look_run(const bake_source *tracer, lmg_looks *looks, lmg_look_kind kind, double flux, unsigned threads,
-                         const volatile sig_atomic_t *stop, lmg_error *err);
 
 #endif

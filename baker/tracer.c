@@ -467,7 +467,12 @@ bool bake_tracer_has_outline(const bake_source *source, const char **why)
     return true;
 }
 
-void bake_tracer_outline(const bake_source *source, const lmg_ray *rays, size_t count, float (*met)[3])
+uint32_t bake_tracer_surfaces(const bake_source *source)
+{
+    return 2 * ((const tracer *)source)->model->part_count;
+}
+
+void bake_tracer_outline(const bake_source *source, const lmg_ray *rays, size_t count, uint32_t *surface)
 {
     enum { TOGETHER = LUM_MAX_RAYS };
     const tracer *t = (const tracer *)source;
@@ -483,7 +488,11 @@ void bake_tracer_outline(const bake_source *source, const lmg_ray *rays, size_t 
         }
         lum_scene_intersect_many(t->scene, n, origin, direction, hit);
         for (size_t i = 0; i < n; ++i)
-            for (int c = 0; c < 3; ++c)
-                met[first + i][c] = hit[i].triangle != LUM_MISS;
+            if (hit[i].triangle == LUM_MISS) {
+                surface[first + i] = BAKE_NO_SURFACE;
+            } else {
+                const lmg_vec3 normal = hit[i].ng, d = direction[i];
+                surface[first + i] = 2 * t->model->triangle_part[hit[i].triangle] + (normal.x * d.x + normal.y * d.y + normal.z * d.z > 0);
+            }
     }
 }

@@ -48,9 +48,11 @@ double bake_tracer_emission(const bake_source *tracer);
  * emitters.  If not, *why (may be NULL) names the effect in the way. */
 bool bake_tracer_can_look(const bake_source *tracer, const char **why);
 
-/* Whether an eye outside that looks along these rays meets any surface of the model: 1 or 0 in all channels.  Runs on the calling
- * thread.  Only if bake_tracer_has_outline. */
-void bake_tracer_outline(const bake_source *tracer, const lmg_ray *rays, size_t count, float (*met)[3]);
+/* The surface that an eye outside meets first along each of these rays: 0 to bake_tracer_surfaces - 1, the front and the back of each
+ * part of the model, or BAKE_NO_SURFACE.  Runs on the calling thread.  Only if bake_tracer_has_outline. */
+#define BAKE_NO_SURFACE UINT32_MAX
+void bake_tracer_outline(const bake_source *tracer, const lmg_ray *rays, size_t count, uint32_t *surface);
+uint32_t bake_tracer_surfaces(const bake_source *tracer);
 
 /* Whether all light of this tracer's model comes from the direction of a surface.  If not, *why (may be NULL) names the effect in the
  * way. */

@@ -242,8 +242,13 @@ void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*r
 {
     for (size_t i = 0; i < count; i++) {
         const double y = lmg_luminance(radiance[i]), seen = y > 0 && isfinite(y) ? y : 0;
-        looks->look[first + i].luminance = looks->kind == LMG_LOOK_RADIANCE ? (float)seen : seen > 0 ? 1.0F : 0.0F;
+        looks->look[first + i].luminance = (float)(looks->kind == LMG_LOOK_RADIANCE ? seen : fmin(seen, 1));
     }
+}
+
+double lmg_looks_weight(const lmg_looks *looks, size_t look)
+{
+    return (double)looks->look[look].weight;
 }
 
 double lmg_looks_misplaced(const lmg_looks *looks)
@@ -255,7 +260,7 @@ double lmg_looks_misplaced(const lmg_looks *looks)
             continue;
         const double y = lmg_trees_luminance(looks->trees, looks->root[i], l->at, NULL), square = (double)l->weight * y * y;
         all += square;
-        misplaced += l->luminance > 0 ? 0 : square;
+        misplaced += square * (1 - (double)l->luminance) * (1 - (double)l->luminance);
     }
     return all > 0 ? sqrt(misplaced / all) : 0;
 }

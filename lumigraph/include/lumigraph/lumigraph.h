@@ -313,7 +313,8 @@ LMG_API lmg_result lmg_field_grow_trees(lmg_field *field, const lmg_ray *rays, s
  * number, and the seed alone.
  *
  * Where what is seen has too much noise, or nobody can tell it, looks still tell outlines: whether there is anything of the luminaire
- * along the ray at all.  These divide the light that photons have brought to a leaf among its pieces that aren't empty.
+ * along the ray at all, and how bright that is on the whole.  These divide the light that photons have brought to a leaf, or to many
+ * together where they don't tell them apart, among the pieces that aren't empty.
  */
 typedef enum lmg_look_kind { LMG_LOOK_RADIANCE, LMG_LOOK_OUTLINE } lmg_look_kind;
 typedef struct lmg_looks lmg_looks;
@@ -329,12 +330,15 @@ LMG_API size_t lmg_looks_count(const lmg_looks *looks);
  * becomes of them.  Once for each look; calls for different looks may run at once. */
 LMG_API void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ray *rays);
 
-/* What is seen along them: R,G,B, cd/m2, in the scale of the field; of outlines 0 where light is impossible, and anything above where
- * it isn't.  Once for each look, after it was drawn; calls for different looks may run at once. */
+/* Etendue that a look stands for, m2 sr, once it was drawn; 0: its ray is of another slab. */
+LMG_API double lmg_looks_weight(const lmg_looks *looks, size_t look);
+
+/* What is seen along them: R,G,B, cd/m2, in the scale of the field; of outlines 0 where light is impossible, and how bright what is met
+ * there is expected to be, up to 1, the brightest, and 1 where that isn't known.  Once for each look, after it was drawn; calls for different looks may run at once. */
 LMG_API void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*radiance)[3]);
 
-/* Of radiance as the trees have it, weighted with etendue, how much is where looks see none: the root of the share of its squares, 0 to
- * 1.  Once all looks have been put, before trees are refined by them. */
+/* Of radiance as the trees have it, weighted with etendue, how much is where looks of outlines expect none, or less: the root of the share of
+ * its squares, 0 to 1.  Once all looks have been put, before trees are refined by them. */
 LMG_API double lmg_looks_misplaced(const lmg_looks *looks);
 
 /* Grows the field's trees anew, of what was seen along all looks; each tree keeps its light.  field: the looks' own.  Once: afterwards looks
