@@ -476,7 +476,8 @@ static lmg_result choose_layout(bake *b, double seconds, lmg_layout *layout, cha
     } else {
         /* narrow light fills a few hundredths of the cells, so that there may be more of them than photons */
         const double most = o->size > 0 ? fmin(fmax(CELLS_PER_PHOTON * photons, (double)DEFAULT_CELLS), (double)MOST_CELLS) : (double)DEFAULT_CELLS;
-        const double wanted = o->size > 0 ? o->size : BAKE_SIZE;
+        const double whole = o->size > 0 ? o->size : BAKE_SIZE;
+        const double wanted = bake_trees_wanted(o, seconds) > 0 ? bake_trees_leave(whole) : whole;
         bake_size size;
         fit.fewer_cells = !by_pilot;
         fit.photons = by_pilot ? 0 : photons * (double)count / pilot_photons;
@@ -638,7 +639,7 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
     const double began = bake_clock();
     lmg_result result = plan_effects(b, seconds, err);
     const char *obstacle;
-    if (result == LMG_OK && o->trees > 0 && o->looks_chosen && o->looks > 0 && !bake_tracer_can_look(b->tracer, NULL) &&
+    if (result == LMG_OK && bake_trees_wanted(o, seconds) > 0 && o->looks_chosen && o->looks > 0 && !bake_tracer_can_look(b->tracer, NULL) &&
         !bake_tracer_has_outline(b->tracer, &obstacle))
         result = lmg_fail(err, LMG_ERROR_UNSUPPORTED, "%s: nothing can be seen of a lamp with %s by rays traced backwards; leave --looks out",
                           b->model->path, obstacle);

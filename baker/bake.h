@@ -36,7 +36,8 @@ typedef struct bake_options {
                                up to 100,000 */
     double rays_per_photon; /* traced backwards for each stored photon, once they are traced (gather.h); 0 = photons only, < 0 = as
                                the pilot says */
-    uint32_t trees;         /* radiance trees (lmg_field_grow_trees) of the first photons, up to BAKE_TREE_PHOTONS; 0 = none */
+    uint32_t trees;         /* radiance trees (lmg_field_grow_trees) of the first photons, up to BAKE_TREE_PHOTONS; 0 = none,
+                               BAKE_TREES_AUTO = where the bake is long enough that they don't take much of its time */
     bool looks_chosen;      /* refine the trees by `looks` rays traced backwards, 0 = none; else two for each photon up to BAKE_MOST_LOOKS.
                                Where an eye that looks into the lamp sees much noise, they tell outlines only (lmg_look_kind) */
     uint64_t looks;
@@ -49,7 +50,7 @@ typedef struct bake_options {
     double output_flux_lm;             /* > 0: so many lumens leave the luminaire; excludes flux_lm */
     lmg_fit_options fit;               /* layout wishes; the bounds are filled in */
     const lmg_layout *layout;          /* the layout, whatever the pilot and fit say; NULL = fitted */
-    double size;                       /* bytes of the box's file that the layout's cells are chosen for, unless fit says cells or resolution;
+    double size;                       /* bytes of the box's file, of which trees get a third; the layout's cells are chosen for the rest, unless fit says cells or resolution;
                                         * 0 = at most BAKE_SIZE, of at most as many cells as lmg_layout_fit takes by itself */
     const char *settings;              /* further texts for the file, NULL = none: the settings as JSON, ... */
     const char *recipe;                /* ... and the recipe */
@@ -70,7 +71,7 @@ typedef struct bake_report {
     uint64_t pilot_photons;
     uint64_t refused; /* rays that the accumulator refused; counted as lost in the ledger */
     uint64_t gathered_rays; /* traced backwards */
-    char no_trees_why[200]; /* why there are none though they were asked for; "" otherwise */
+    char no_trees_why[200]; /* why there are none though they were asked for, or the bake is long enough; "" otherwise */
     char looks_why[200];    /* why trees have none, or see outlines only, though nobody forbade it; "" otherwise */
     char gather_why[200];   /* why so many; "" when it wasn't asked, or decided by an earlier run */
     double plan_seconds, pilot_seconds, trace_seconds, gather_seconds, reconstruct_seconds, trees_seconds;
@@ -104,6 +105,12 @@ const lmg_ray *bake_ray_list_any_order(bake_ray_list *list, size_t *count); /* f
 
 /* Bytes of a box, at most, when nothing is asked for. */
 #define BAKE_SIZE 16e6
+
+/* Radiance trees of bakes that last so long, in seconds or photons, when nothing is said of them. */
+#define BAKE_TREES_AUTO UINT32_MAX
+#define BAKE_TREES 8
+#define BAKE_TREES_SECONDS 20
+#define BAKE_TREES_FROM 100000000
 
 /* Photons of a bake that radiance trees are grown of, at most: their rays take some 200 bytes each while that lasts, and 20 more for each thread. */
 #define BAKE_TREE_PHOTONS 4000000

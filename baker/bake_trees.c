@@ -12,8 +12,11 @@
 /* Rays for trees are traced once more in rounds of so many photons, so that Ctrl-C is heard. */
 static const uint64_t TREE_ROUND = 200000;
 /* Seconds of a processor, about, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; and
- * the most that trees, and looks alone, take of a bake by time. */
-static const double TREE_SECONDS = 2.2e-7, LOOK_TREE_SECONDS = 2.3e-7, LOOK_SECONDS = 9e-7, MOST_FOR_TREES = 0.5, MOST_FOR_LOOKS = 0.4;
+ * the most that trees take of a bake by time, asked for or not, and looks of that. */
+static const double TREE_SECONDS = 2.2e-7, LOOK_TREE_SECONDS = 2.3e-7, LOOK_SECONDS = 9e-7;
+static const double MOST_FOR_TREES = 0.5, MOST_FOR_TREES_UNASKED = 0.25, LOOKS_OF_THAT = 0.8;
+/* Of a file as large as it may be: what trees may take, and what a look comes to in one of eight trees, bytes: 0.05 (spot, lens) to 0.06 (globe). */
+static const double SIZE_FOR_TREES = 1.0 / 3, LOOK_BYTES = 0.06;
 /* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
 static const double LOOKS_PER_PHOTON = 2;
 /* Variance of a look over that of a photon, beyond which looks tell outlines only: with 18 the opal globe's trees are a little worse. */
@@ -37,7 +40,7 @@ static double pilot_rate(const bake_trees *t)
 static double look_seconds(const bake_trees *t)
 {
     const bake_options *o = t->options;
-    const double threads = bake_thread_count(o->threads), turns = ceil(o->trees / fmin(threads, o->trees));
+    const double threads = bake_thread_count(o->threads), turns = ceil(t->count / fmin(threads, t->count));
     return (t->kind == LMG_LOOK_RADIANCE ? 1 / pilot_rate(t) : 0) + LOOK_SECONDS / threads + turns * LOOK_TREE_SECONDS;
 }
 
@@ -88,19 +91,38 @@ static bool decide_kind(bake_trees *t)
     return false;
 }
 
-/* How many looks the trees are grown of, at most: as many as are asked for, and no more than a part of a bake by time can trace. */
+uint32_t bake_trees_wanted(const bake_options *o, double seconds)
+{
+    if (o->trees != BAKE_TREES_AUTO)
+        return o->trees;
+    return o->photons > 0 ? o->photons >= BAKE_TREES_FROM ? BAKE_TREES : 0 : seconds >= BAKE_TREES_SECONDS ? BAKE_TREES : 0;
+}
+
+double bake_trees_leave(double bytes)
+{
+    return (1 - SIZE_FOR_TREES) * bytes;
+}
+
+static double most_of_time(const bake_trees *t)
+{
+    return t->options->trees == BAKE_TREES_AUTO ? MOST_FOR_TREES_UNASKED : MOST_FOR_TREES;
+}
+
+/* How many looks the trees are grown of, at most: as many as are asked for, and no more than a part of a bake by time can trace, or a part of
+ * the file hold. */
 static void decide_looks(bake_trees *t, double seconds)
 {
     const bake_options *o = t->options;
     t->most_looks = o->looks;
-    if (o->trees == 0 || (o->looks_chosen && o->looks == 0))
+    if (t->count == 0 || (o->looks_chosen && o->looks == 0))
         return;
     const bool some = decide_kind(t);
     if (o->looks_chosen)
         return;
-    t->most_looks = some ? BAKE_MOST_LOOKS : 0;
+    const double bytes = SIZE_FOR_TREES * (o->size > 0 ? o->size : BAKE_SIZE);
+    t->most_looks = some ? (uint64_t)fmin(BAKE_MOST_LOOKS, bytes / (LOOK_BYTES * t->count)) : 0;
     if (some && o->photons == 0)
-        t->most_looks = (uint64_t)fmin((double)t->most_looks, MOST_FOR_LOOKS * seconds / look_seconds(t));
+        t->most_looks = (uint64_t)fmin((double)t->most_looks, LOOKS_OF_THAT * most_of_time(t) * seconds / look_seconds(t));
 }
 
 uint64_t bake_trees_photons(const bake_trees *t)
@@ -113,7 +135,7 @@ uint64_t bake_trees_photons(const bake_trees *t)
 static lmg_result keep_rays(bake_trees *t, lmg_error *err)
 {
     const bake_options *o = t->options;
-    if (o->trees == 0 || t->report->resumed || o->team)
+    if (t->count == 0 || t->report->resumed || o->team)
         return LMG_OK;
     const uint64_t all = bake_trees_photons(t), most = o->photons > 0 && o->photons < all ? o->photons : all;
     return bake_ray_list_create((size_t)most + 1024, &t->kept, err);
@@ -135,6 +157,7 @@ static lmg_result trace_rays(bake_trees *t, lmg_error *err)
 
 lmg_result bake_trees_begin(bake_trees *t, double seconds, lmg_error *err)
 {
+    t->count = bake_trees_wanted(t->options, seconds);
     decide_looks(t, seconds);
     return keep_rays(t, err);
 }
@@ -186,9 +209,8 @@ static lmg_result look_into(const bake_trees *t, lmg_field *field, const lmg_ray
 
 void bake_trees_grow(bake_trees *t, lmg_field *field)
 {
-    const bake_options *o = t->options;
     bake_report *r = t->report;
-    if (o->trees == 0)
+    if (t->count == 0)
         return;
     const double began = bake_clock();
     lmg_error why = {.message = ""};
@@ -200,7 +222,7 @@ void bake_trees_grow(bake_trees *t, lmg_field *field)
         size_t count;
         const lmg_ray *rays = bake_ray_list_sorted(t->kept, &count);
         if (result == LMG_OK)
-            result = lmg_field_grow_trees(field, rays, count, o->trees, &why);
+            result = lmg_field_grow_trees(field, rays, count, t->count, &why);
         if (result == LMG_OK && look_into(t, field, rays, count, &why) != LMG_OK)
             snprintf(r->looks_why, sizeof(r->looks_why), "none: %s", why.message);
     }
@@ -216,11 +238,11 @@ void bake_trees_grow(bake_trees *t, lmg_field *field)
 double bake_trees_share(const bake_trees *t, double seconds)
 {
     const bake_options *o = t->options;
-    if (o->trees == 0)
+    if (t->count == 0)
         return 0;
-    const double rate = pilot_rate(t), turns = ceil(o->trees / fmin(bake_thread_count(o->threads), o->trees));
+    const double rate = pilot_rate(t), turns = ceil(t->count / fmin(bake_thread_count(o->threads), t->count));
     const double photons = fmin(rate * seconds, (double)bake_trees_photons(t)) * turns * TREE_SECONDS / seconds;
     /* of each second so much goes to the looks of the photons that the rest traces, as long as there are no more than the most */
     const double each = look_seconds(t), looks = LOOKS_PER_PHOTON * rate * each;
-    return fmin(photons + fmin(looks / (1 + looks), (double)t->most_looks * each / seconds), MOST_FOR_TREES);
+    return fmin(photons + fmin(looks / (1 + looks), (double)t->most_looks * each / seconds), most_of_time(t));
 }

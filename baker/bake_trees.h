@@ -15,6 +15,7 @@ typedef struct bake_trees {
     bake_source *tracer;
     const bake_part *part;
     bake_ray_list *kept; /* rays of the first photons; NULL: none wanted, or they have to be traced again */
+    uint32_t count; /* of trees; 0: none */
     uint64_t most_looks;
     lmg_look_kind kind; /* of looks */
 } bake_trees;
@@ -25,6 +26,12 @@ lmg_result bake_trees_begin(bake_trees *t, double seconds, lmg_error *err);
 
 /* Photons whose rays they are grown of, at most. */
 uint64_t bake_trees_photons(const bake_trees *t);
+
+/* How many trees a bake is to have. */
+uint32_t bake_trees_wanted(const bake_options *options, double seconds);
+
+/* Bytes of a file of so many that the cells of a bake with trees may take. */
+double bake_trees_leave(double bytes);
 
 /* Share of a bake's seconds that growing them will take. */
 double bake_trees_share(const bake_trees *t, double seconds);

@@ -72,7 +72,7 @@ static const struct argp_option OPTIONS[] = {
     {"effects", KEY_EFFECTS, "LIST", 0, "auto, all, or effects to simulate", 4},
     {"effects-error", KEY_EFFECTS_ERROR, "E", 0, "what leaving them out may change (default 0.1%)", 4},
     {"gather", KEY_GATHER, "R|auto", 0, "R rays traced backwards per photon (default none)", 4},
-    {"trees", KEY_TREES, "N", 0, "2 to 16 radiance trees, beyond --size (none)", 4},
+    {"trees", KEY_TREES, "N", 0, "0, or 2 to 16 radiance trees (8 from 20 s on)", 4},
     {"looks", KEY_LOOKS, "N", 0, "backward rays for trees (2 per photon, up to 16M)", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
@@ -153,12 +153,17 @@ static void settle_photons(struct argp_state *state, command *c)
         usage_error(
             state,
             "--gather: a bake in parts is merged without its lamp, of photons only; leave out --gather, or --share and --first");
+    const bool parts = c->shares || c->given_first, asked = o->trees != BAKE_TREES_AUTO && o->trees > 0;
     if (o->looks_chosen && o->trees == 0)
-        usage_error(state, "--looks: they sharpen radiance trees; ask for these, such as --trees 8");
-    if (c->target.error > 0 && o->trees > 0)
-        usage_error(state, "--trees: --error judges cells; bake once more with --trees and the --photons that it finds");
-    if ((c->shares || c->given_first) && o->trees > 0)
-        usage_error(state, "--trees: a bake in parts is merged without its rays, which trees grow of; leave out --trees, or --share and --first");
+        usage_error(state, "--looks: they sharpen radiance trees; --trees 0 is for none");
+    if (c->target.error > 0 && (asked || o->looks_chosen))
+        usage_error(state, "--trees, --looks: --error judges cells; bake once more with the --photons that it finds");
+    if (parts && (asked || o->looks_chosen))
+        usage_error(state, "--trees, --looks: a bake in parts is merged without its rays, which trees grow of; leave these out, or --share and --first");
+    if (o->trees == BAKE_TREES_AUTO && (parts || c->target.error > 0))
+        o->trees = 0;
+    else if (o->trees == BAKE_TREES_AUTO && o->looks_chosen)
+        o->trees = BAKE_TREES;
 }
 
 static void argument_effects(struct argp_state *state, const char *text, bake_options *o)
@@ -227,7 +232,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
         c->bake.rays_per_photon = strcmp(arg, "auto") == 0 ? -1 : argument_number(state, "--gather", arg, 1.0 / 64, 64);
         break;
     case KEY_TREES:
-        c->bake.trees = (uint32_t)argument_count(state, "--trees", arg, 2, LMG_MOST_TREES);
+        c->bake.trees = (uint32_t)argument_count(state, "--trees", arg, 0, LMG_MOST_TREES);
+        if (c->bake.trees == 1)
+            usage_error(state, "--trees: one alone is a staircase; 2 to %d, or 0 for none", LMG_MOST_TREES);
         break;
     case KEY_LOOKS:
         c->bake.looks_chosen = true;
@@ -364,7 +371,7 @@ static char *settings_text(const command *c)
         json_object_set_new(o, "size", json_real(c->bake.size));
     if (c->target.error > 0) /* up to 64 million cells then */
         json_object_set_new(o, "error", json_real(c->target.error));
-    if (c->bake.trees > 0)
+    if (c->bake.trees != BAKE_TREES_AUTO && c->bake.trees > 0)
         json_object_set_new(o, "trees", json_integer(c->bake.trees));
     if (c->bake.looks_chosen)
         json_object_set_new(o, "looks", json_integer((json_int_t)c->bake.looks));
@@ -526,6 +533,8 @@ static void print_summary(const command *c, const lmg_field *field, const bake_r
             printf("            light repeats itself in %u tiles of %u kinds, which share their rays\n", trees.tiles, trees.kinds);
         if (r->looks_why[0])
             printf("            looks: %s\n", r->looks_why);
+    } else if (r->no_trees_why[0]) {
+        printf("  trees     none: %s\n", r->no_trees_why);
     }
     printf("  file      %.2f MB", 1e-6 * (double)bytes);
     if (r->size_foretold > 0)
@@ -559,15 +568,26 @@ static uint64_t bytes_of(const char *path)
     return stat(path, &status) == 0 ? (uint64_t)status.st_size : 0;
 }
 
-/* Writes the box; one that comes out larger than was asked for is rounded more coarsely, as far as that goes. */
-static lmg_result write_in_size(command *c, const lmg_field *field, lmg_error *err)
+/* Writes the box; of one that comes out larger than it may be, trees are taken away and then cells are rounded more coarsely, as far as that
+ * goes. */
+static lmg_result write_in_size(command *c, lmg_field *field, bake_report *report, lmg_error *err)
 {
     lmg_result result = write_box(field, c->output, c->lossless, &c->lost, err);
     const double most = c->bake.size * SIZE_SLACK;
-    for (double loss = 2 * BAKE_ROUNDING;
-         result == LMG_OK && most > 0 && !c->lossless && loss <= MOST_ROUNDING && (double)bytes_of(c->output) > most; loss *= 2)
+    if (!(most > 0)) /* so many cells as a bake has by itself, and trees, take less than BAKE_SIZE */
+        return result;
+    const lmg_tree_totals trees = lmg_field_trees(field);
+    const double over = result == LMG_OK ? (double)bytes_of(c->output) - most : 0;
+    if (over > 0 && trees.trees > 0) {
+        const uint32_t left = lmg_field_thin_trees(field, over < (double)trees.bytes ? trees.bytes - (size_t)over : 0);
+        if (left == 0)
+            snprintf(report->no_trees_why, sizeof(report->no_trees_why), "two of them take %.2f MB, more than cells leave of %.2f MB",
+                     1e-6 * 2 * (double)trees.bytes / trees.trees, 1e-6 * c->bake.size);
+        result = write_box(field, c->output, c->lossless, &c->lost, err);
+    }
+    for (double loss = 2 * BAKE_ROUNDING; result == LMG_OK && !c->lossless && loss <= MOST_ROUNDING && (double)bytes_of(c->output) > most; loss *= 2)
         result = lmg_field_write_rounded(field, c->output, loss, &c->lost, err);
-    if (result == LMG_OK && most > 0 && (double)bytes_of(c->output) > most && !c->quiet)
+    if (result == LMG_OK && (double)bytes_of(c->output) > most && !c->quiet)
         fprintf(stderr,
                 "warning: %.2f MB are more than the %.2f MB asked for; --cells with fewer than the box has makes it smaller\n",
                 1e-6 * (double)bytes_of(c->output), 1e-6 * c->bake.size);
@@ -600,7 +620,7 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
     free(settings);
     if (result != LMG_OK)
         return report_error(result, &err);
-    if (write_in_size(c, field, &err) != LMG_OK) {
+    if (write_in_size(c, field, &report, &err) != LMG_OK) {
         lmg_field_destroy(field);
         return report_failure(&err);
     }
@@ -617,7 +637,7 @@ static int bake_lamp(command *c, lum_model *model, const char *recipe, double be
         if (missed)
             fprintf(stderr, "warning: the error asked for isn't reached%s\n",
                     c->bake.fit.cells ? ": --cells fixes how fine the box can be; give more, or leave it out" : "");
-        if (report.no_trees_why[0])
+        if (report.no_trees_why[0] && c->bake.trees != BAKE_TREES_AUTO)
             fprintf(stderr, "warning: no radiance trees: %s\n", report.no_trees_why);
         if (report.interrupted)
             fprintf(stderr, "interrupted: the box holds the %" PRIu64 " photons traced so far; --resume goes on from %s\n",
@@ -697,7 +717,7 @@ static int bake_or_help(command *c)
 int cmd_bake(int argc, char **argv)
 {
     static const struct argp ARGP = {.options = OPTIONS, .parser = parse, .args_doc = "LAMP -o BOX", .doc = DOC};
-    command c = {.bake = {.seed = 1}};
+    command c = {.bake = {.seed = 1, .trees = BAKE_TREES_AUTO}};
     argp_parse(&ARGP, argc, argv, 0, NULL, &c);
 
     lmg_error err = {{0}};

@@ -7,6 +7,7 @@
 #include <math.h>
 #include <stdatomic.h>
 #include <stdlib.h>
+#include <string.h>
 
 /* Rays that are traced together. */
 enum { TOGETHER = 4096 };
@@ -123,6 +124,15 @@ static void set_brightness(const surface_sums *of, uint32_t surfaces, double ray
         }
 }
 
+/* Puts what is expected of all looks, by the surfaces that they meet. */
+static void expect(lmg_looks *looks, const uint32_t *surface, const float *brightness)
+{
+    for (size_t i = 0; i < lmg_looks_count(looks); ++i) {
+        const float y = surface[i] != BAKE_NO_SURFACE ? brightness[surface[i]] : 0;
+        lmg_looks_put(looks, i, 1, (const float[1][3]){{y, y, y}});
+    }
+}
+
 lmg_result bake_look_brightness(const bake_source *tracer, lmg_looks *looks, const lmg_ray *rays, size_t count, unsigned threads,
                                 float **brightness, lmg_error *err)
 {
@@ -130,8 +140,10 @@ lmg_result bake_look_brightness(const bake_source *tracer, lmg_looks *looks, con
     const size_t every = 1 + count / MOST_ASKED, asked = count / every, look_count = lmg_looks_count(looks);
     survey_job by_looks = {.tracer = tracer, .looks = looks}, by_rays = {.tracer = tracer, .rays = rays, .every = every};
     surface_sums *of = calloc(surfaces + 1, sizeof(*of));
-    float *made = malloc((surfaces + 1) * sizeof(*made));
-    lmg_result result = of && made ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "looks: no memory");
+    float *made = malloc((surfaces + 1) * sizeof(*made)), *even = malloc((surfaces + 1) * sizeof(*even));
+    for (uint32_t i = 0; i < surfaces && even; ++i)
+        even[i] = 1;
+    lmg_result result = of && made && even ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "looks: no memory");
     if (result == LMG_OK)
         result = survey(&by_looks, look_count, threads, err);
     if (result == LMG_OK)
@@ -150,14 +162,18 @@ lmg_result bake_look_brightness(const bake_source *tracer, lmg_looks *looks, con
                 of[by_rays.surface[i]].light += y;
         }
         set_brightness(of, surfaces, asked > 0 ? light / (double)asked : 0, made);
-        for (size_t i = 0; i < look_count; ++i) {
-            const float y = by_looks.surface[i] != BAKE_NO_SURFACE ? made[by_looks.surface[i]] : 0;
-            lmg_looks_put(looks, i, 1, (const float[1][3]){{y, y, y}});
+        expect(looks, by_looks.surface, even);
+        const double unexpected = lmg_looks_unexpected(looks);
+        expect(looks, by_looks.surface, made);
+        if (lmg_looks_unexpected(looks) >= unexpected) { /* what is bright on one side and dark on the other, say */
+            memcpy(made, even, surfaces * sizeof(*made));
+            expect(looks, by_looks.surface, made);
         }
     }
     free(by_looks.surface);
     free(by_rays.surface);
     free(of);
+    free(even);
     if (result != LMG_OK) {
         free(made);
         made = NULL;

@@ -331,7 +331,7 @@ json_t *json_trees(const lmg_field *field)
     const lmg_tree_totals t = lmg_field_trees(field);
     if (t.trees == 0)
         return json_null();
-    return json_pack("{s:i, s:i, s:i, s:I, s:I, s:I, s:I}", "trees", (int)t.trees, "tiles", (int)t.tiles, "kinds_of_tiles", (int)t.kinds,
+    return json_pack("{s:i, s:i, s:i, s:I, s:I, s:I, s:I, s:I}", "trees", (int)t.trees, "tiles", (int)t.tiles, "kinds_of_tiles", (int)t.kinds,
                      "leaves", (json_int_t)t.leaves, "rays", (json_int_t)t.rays, "looks", (json_int_t)t.looks, "memory",
-                     (json_int_t)t.memory);
+                     (json_int_t)t.memory, "bytes", (json_int_t)t.bytes);
 }

@@ -307,5 +307,21 @@ lmg_tree_totals lmg_field_trees(const lmg_field *field)
     for (uint32_t k = 0; k < t.trees; k++)
         t.leaves += field->trees->trees[k].leaves;
     t.memory = lmg_trees_memory(field->trees);
+    t.bytes = lmg_trees_size(field->trees);
     return t;
+}
+
+uint32_t lmg_field_thin_trees(lmg_field *field, size_t bytes)
+{
+    lmg_trees *t = field->trees;
+    while (t && lmg_trees_size(t) > bytes) {
+        if (t->tree_count <= 2) {
+            lmg_trees_destroy(t);
+            field->trees = t = NULL;
+            break;
+        }
+        free(t->trees[--t->tree_count].nodes);
+        t->trees[t->tree_count] = (lmg_tree){0};
+    }
+    return t ? t->tree_count : 0;
 }

@@ -251,16 +251,37 @@ double lmg_looks_weight(const lmg_looks *looks, size_t look)
     return (double)looks->look[look].weight;
 }
 
-double lmg_looks_misplaced(const lmg_looks *looks)
+/* Sums over all looks, weighted with etendue: of the trees' squared radiance, of that where less is expected, of radiance times
+ * what is expected, and of the square of that. */
+typedef struct agreement {
+    double squares, misplaced, product, expected;
+} agreement;
+
+static agreement agreement_of(const lmg_looks *looks)
 {
-    double all = 0, misplaced = 0;
+    agreement a = {0};
     for (size_t i = 0; i < looks->count && looks->trees; i++) {
         const lmg_look *l = &looks->look[i];
         if (!(l->weight > 0))
             continue;
-        const double y = lmg_trees_luminance(looks->trees, looks->root[i], l->at, NULL), square = (double)l->weight * y * y;
-        all += square;
-        misplaced += square * (1 - (double)l->luminance) * (1 - (double)l->luminance);
+        const double y = lmg_trees_luminance(looks->trees, looks->root[i], l->at, NULL), x = (double)l->luminance,
+                     w = (double)l->weight;
+        a.squares += w * y * y;
+        a.misplaced += w * y * y * (1 - x) * (1 - x);
+        a.product += w * y * x;
+        a.expected += w * x * x;
     }
-    return all > 0 ? sqrt(misplaced / all) : 0;
+    return a;
+}
+
+double lmg_looks_misplaced(const lmg_looks *looks)
+{
+    const agreement a = agreement_of(looks);
+    return a.squares > 0 ? sqrt(a.misplaced / a.squares) : 0;
+}
+
+double lmg_looks_unexpected(const lmg_looks *looks)
+{
+    const agreement a = agreement_of(looks);
+    return a.squares > 0 && a.expected > 0 ? sqrt(fmax(1 - a.product * a.product / (a.squares * a.expected), 0)) : 1;
 }

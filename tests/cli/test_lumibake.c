@@ -80,9 +80,13 @@ static void test_usage_errors(void **state)
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--resolution", "8,8,8"), 2, "8,8,8");
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--recipe", "r.json", "--no-recipe"), 2, "exclude");
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "17"), 2, "--trees");
-    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--photons", "1000", "--share", "1/2"), 2, "leave out --trees");
-    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--photons", "1000", "--first", "500", "--pilot", "1000"), 2, "leave out --trees");
-    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--looks", "100"), 2, "--trees 8");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--photons", "1000", "--share", "1/2"), 2, "leave these out");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--photons", "1000", "--first", "500", "--pilot", "1000"), 2, "leave these out");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--looks", "100", "--photons", "1000", "--share", "1/2"), 2, "leave these out");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--looks", "100", "--error", "2%"), 2, "--error judges cells");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--error", "2%"), 2, "--error judges cells");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--looks", "100", "--trees", "0"), 2, "--trees 0");
+    EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "1"), 2, "2 to 16");
     EXPECT(RUN("bake", lamp, "-o", "x.exr", "--trees", "8", "--looks", "1e9"), 2, "--looks");
     EXPECT(RUN("probe", box), 2, "--points");
     EXPECT(RUN("probe", box, "--points", "-", "--rays", "-"), 2, "at a time");
@@ -222,7 +226,8 @@ static void test_bake_summary_and_flux(void **state)
     release(&o);
 }
 
-/* Radiance trees, when they are asked for: the summary and the box say how many. */
+/* Radiance trees, when they are asked for: the summary and the box say how many.  A short bake has none by itself; in a file that is too small
+ * for eight there are fewer, or none. */
 static void test_trees(void **state)
 {
     (void)state;
@@ -262,6 +267,33 @@ static void test_trees(void **state)
     release(&o);
     o = RUN("info", without);
     assert_null(strstr(o.out, "radiance trees"));
+    release(&o);
+
+#define SIZED(size, ...) RUN("bake", lamp, "-o", with, "--photons", "300000", "--size", size, "--effects", "all", __VA_ARGS__)
+    o = SIZED("2MB", "--looks", "0", "--json"); /* looks are looks of trees */
+    assert_int_equal(o.code, 0);
+    j = parse_json(o.out);
+    assert_int_equal(number_at(j, "trees", "trees"), 8);
+    const double whole = number_at(j, "bytes", NULL), of_trees = number_at(j, "trees", "bytes");
+    json_decref(j);
+    release(&o);
+    assert_true(of_trees > 0.3 * whole && of_trees < whole);
+    /* room for three and a half of them, and the cells get two thirds of it */
+    char size[32];
+    snprintf(size, sizeof(size), "%.0fkB", 1e-3 * fmax(1.5 * (whole - of_trees), whole - of_trees * 4.5 / 8));
+    o = SIZED(size, "--trees", "8", "--looks", "0", "--json");
+    assert_int_equal(o.code, 0);
+    j = parse_json(o.out);
+    print_message("%.0f bytes, %.0f of trees; at most %s: %.0f, %.0f\n", whole, of_trees, size, number_at(j, "bytes", NULL),
+                  number_at(j, "trees", "bytes"));
+    assert_true(number_at(j, "trees", "trees") >= 2 && number_at(j, "trees", "trees") < 8 &&
+                number_at(j, "bytes", NULL) < 1.03e3 * strtod(size, NULL));
+    json_decref(j);
+    release(&o);
+    o = SIZED("100kB", "--trees", "8", "--looks", "0");
+    assert_int_equal(o.code, 0);
+    assert_non_null(strstr(o.out, "trees     none: two of them take"));
+    assert_non_null(strstr(o.err, "no radiance trees"));
     release(&o);
 }
 

@@ -7,6 +7,7 @@
 #include "bake.h"
 #include "field.h"
 #include "geometry.h"
+#include "look.h"
 #include "part.h"
 #include "stats.h"
 #include "tracer.h"
@@ -429,6 +430,86 @@ static void assert_same_file(const char *a, const char *b)
     free(bytes[1]);
 }
 
+/* How bright the surfaces of the opal globe are, by its photons and its outlines: against the mean of what paths traced backwards from all over
+ * see of each. */
+static void brightness_of_surfaces(void **state)
+{
+    (void)state;
+    enum { LINES = 400000 / SLOWER, LOOKS = 100000 };
+    lmg_error err = {{0}};
+    counted globe = load("opal-globe");
+    const bake_options options = {.photons = 200000, .seed = 3, .trees = 2, .looks_chosen = true, .fit.cells = 20000};
+    bake_report report;
+    lmg_field *field;
+    assert_int_equal(bake_run(globe.model, &options, &field, &report, &err), LMG_OK);
+    lmg_looks *looks;
+    assert_int_equal(lmg_looks_create(field, LMG_LOOK_OUTLINE, LOOKS, 3, &looks, &err), LMG_OK);
+    bake_ray_list *list;
+    assert_int_equal(bake_ray_list_create(options.photons, &list, &err), LMG_OK);
+    const lmg_sink sink = bake_ray_list_sink(list);
+    bake_tally tally = {0};
+    assert_int_equal(globe.tracer->run(globe.tracer, 0, options.photons, 0, &sink, 1, &tally, &err), LMG_OK);
+    size_t count;
+    const lmg_ray *rays = bake_ray_list_sorted(list, &count);
+    float *brightness;
+    assert_int_equal(bake_look_brightness(globe.tracer, looks, rays, count, 0, &brightness, &err), LMG_OK);
+
+    /* lines that are uniform in etendue around the lamp */
+    const lmg_vec3 lo = globe.tracer->bounds_min, hi = globe.tracer->bounds_max, middle = v_scale(0.5, v_add(lo, hi));
+    const double radius = 0.5 * v_length(v_sub(hi, lo));
+    lmg_ray *line = malloc(LINES * sizeof(*line));
+    float(*seen)[3] = malloc(LINES * sizeof(*seen));
+    uint32_t *surface = malloc(LINES * sizeof(*surface));
+    assert_true(line && seen && surface);
+    for (size_t i = 0; i < LINES; ++i) {
+        lum_rng rng = lum_rng_stream(78, i);
+        const double z = 2 * lum_rng_next(&rng) - 1, turn = 2 * PI * lum_rng_next(&rng), r = sqrt(1 - z * z);
+        const lmg_vec3 d = {r * cos(turn), r * sin(turn), z};
+        const lmg_vec3 aside = v_cross(d, fabs(d.z) < 0.8 ? (lmg_vec3){0, 0, 1} : (lmg_vec3){1, 0, 0}), a = v_scale(1 / v_length(aside), aside),
+                       b = v_cross(d, a);
+        const double away = radius * sqrt(lum_rng_next(&rng)), around = 2 * PI * lum_rng_next(&rng);
+        line[i] = (lmg_ray){.origin = v_fma(v_fma(v_fma(middle, 2 * radius, d), away * cos(around), a), away * sin(around), b),
+                            .direction = d,
+                            .number = i};
+    }
+    const unsigned saved = lum_thread_begin();
+    bake_tracer_outline(globe.tracer, line, LINES, surface);
+    assert_true(bake_tracer_look(globe.tracer, line, LINES, seen, NULL));
+    lum_thread_end(saved);
+    stats_mean *mean = calloc(bake_tracer_surfaces(globe.tracer), sizeof(*mean));
+    assert_non_null(mean);
+    for (size_t i = 0; i < LINES; ++i) {
+        if (surface[i] == BAKE_NO_SURFACE)
+            assert_true(seen[i][0] == 0 && seen[i][1] == 0 && seen[i][2] == 0);
+        else
+            stats_add(&mean[surface[i]], lmg_luminance(seen[i]));
+    }
+    uint32_t brightest = 0, compared = 0;
+    for (uint32_t k = 0; k < bake_tracer_surfaces(globe.tracer); ++k)
+        brightest = brightness[k] == 1 && mean[k].n > 1000 ? k : brightest;
+    assert_true(brightness[brightest] == 1);
+    for (uint32_t k = 0; k < bake_tracer_surfaces(globe.tracer); ++k) {
+        if (mean[k].n < 500 || k == brightest)
+            continue;
+        const double y = mean[k].mean / mean[brightest].mean,
+                     se = hypot(stats_error(&mean[k]) / mean[brightest].mean, y * stats_error(&mean[brightest]) / mean[brightest].mean);
+        print_message("surface %u: brightness %.4f, seen %.4f +- %.4f\n", k, (double)brightness[k], y, se);
+        assert_true(fabs((double)brightness[k] - y) < 3.5 * se + 0.1 * y + 0.002);
+        compared++;
+    }
+    assert_true(compared > 0);
+    free(mean);
+    free(line);
+    free(seen);
+    free(surface);
+    free(brightness);
+    lmg_looks_destroy(looks);
+    bake_ray_list_destroy(list);
+    lmg_field_destroy(field);
+    globe.tracer->destroy(globe.tracer);
+    lum_model_destroy(globe.model);
+}
+
 /* The pilot gathers behind the lens and not through opal glass; the same bytes on 1 and 3 threads, and when resumed. */
 static void whole_bakes(void **state)
 {
@@ -481,7 +562,7 @@ int main(void)
         {"cells_of_the_panel", sample_lamp, NULL, NULL, panel},
         {"cells_of_the_globe", sample_lamp, NULL, NULL, globe},
         cmocka_unit_test(mixture),
-        cmocka_unit_test(whole_bakes),
+        cmocka_unit_test(brightness_of_surfaces), cmocka_unit_test(whole_bakes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

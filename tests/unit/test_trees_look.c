@@ -127,6 +127,83 @@ static void test_outlines(void **state)
     free(rays);
 }
 
+/* Half of the disc has an eighth of the other's luminance. */
+static double shade_of(const lmg_ray *r)
+{
+    const bool lit = hypot(r->origin.x, r->origin.y) < TREES_RADIUS && hypot(r->direction.x, r->direction.y) < TREES_SINE;
+    return !lit ? 0 : r->origin.x + 0.6 * r->origin.y < 0 ? 1 : 0.125;
+}
+
+/* RMS error of radiance, in parts of the brighter half's. */
+static double shade_error(const lmg_field *field)
+{
+    enum { ASKED = 20000 };
+    const double bright = trees_disc_radiance() / (0.5 + 0.5 * 0.125);
+    double sum = 0;
+    for (uint64_t i = 0; i < ASKED; i++) {
+        lamp_rng g = lamp_stream(95, i);
+        const lmg_ray r = trees_disc_ray(&g, 1.2);
+        const double e = trees_linear(field, &r, NULL) / bright - shade_of(&r);
+        sum += e * e;
+    }
+    return sqrt(sum / ASKED);
+}
+
+/* Outlines that know how bright a surface is find the edges between surfaces, too, and what is expected wrongly is told. */
+static void test_shades(void **state)
+{
+    (void)state;
+    enum { RAYS = 100000, LOOKS = 300000 };
+    lmg_ray *rays = malloc(RAYS * sizeof *rays), *drawn = malloc(LOOKS * sizeof *drawn);
+    float(*expected)[3] = malloc(LOOKS * sizeof *expected);
+    assert_true(rays && drawn && expected);
+    uint64_t number = 0;
+    for (size_t i = 0; i < RAYS; number++) {
+        lamp_rng g = lamp_stream(8, number);
+        rays[i] = trees_disc_ray(&g, 1);
+        i += lamp_next(&g) < shade_of(&rays[i]);
+    }
+    static const lmg_layout_choice CHOICES[] = {LMG_LAYOUT_APERTURE, LMG_LAYOUT_CUBE};
+    for (int c = 0; c < 2; c++) {
+        lmg_field *field = grown(CHOICES[c], rays, RAYS);
+        double errors[3], unexpected[4];
+        for (int what = 0; what < 4; what++) { /* photons alone, outlines, shades; shades the wrong way round */
+            trees_grow(field, rays, RAYS, 8);
+            const double light = trees_light_of_root(field, 2, 0);
+            lmg_looks *looks;
+            if (what > 0) {
+                assert_int_equal(lmg_looks_create(field, LMG_LOOK_OUTLINE, LOOKS, 3, &looks, NULL), LMG_OK);
+                lmg_looks_draw(looks, 0, LOOKS, drawn);
+                for (size_t i = 0; i < LOOKS; i++) {
+                    const double shade = shade_of(&drawn[i]);
+                    expected[i][0] = expected[i][1] = expected[i][2] = (float)(what == 1                 ? shade > 0
+                                                                               : what == 2 || shade == 0 ? shade
+                                                                                                         : 1.125 - shade);
+                }
+                lmg_looks_put(looks, 0, LOOKS, (const float(*)[3])expected);
+                unexpected[what] = lmg_looks_unexpected(looks);
+                assert_int_equal(lmg_field_refine_trees(field, looks, NULL), LMG_OK);
+                lmg_looks_destroy(looks);
+            }
+            if (what < 3)
+                errors[what] = shade_error(field);
+            assert_near(trees_light_of_root(field, 2, 0), light, 1e-6 * light);
+        }
+        print_message("%s: photons %.3f, outlines %.3f, shades %.3f; unexpected %.3f, %.3f, %.3f\n", c == 0 ? "aperture" : "cube",
+                      errors[0], errors[1], errors[2], unexpected[1], unexpected[2], unexpected[3]);
+        assert_true(errors[1] < 0.95 * errors[0]);
+        assert_true(errors[2] < 0.92 * errors[1]);
+        /* by the angle between two functions: of shades 1 and 1/8 with an even one, and with themselves the other way round */
+        assert_near(unexpected[1], sqrt(1 - 1.125 * 1.125 / (2 * (1 + 0.125 * 0.125))), 0.05);
+        assert_near(unexpected[3], sqrt(1 - pow(0.25 / (1 + 0.125 * 0.125), 2)), 0.05);
+        assert_true(unexpected[2] < 0.25); /* but for the trees' own errors, which are of photons alone */
+        lmg_field_destroy(field);
+    }
+    free(rays);
+    free(drawn);
+    free(expected);
+}
+
 /* Sixteen equal openings in a grid, each lit in a part of it. */
 static bool in_openings(const lmg_ray *r)
 {
@@ -289,8 +366,8 @@ static void test_edges(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_looks),        cmocka_unit_test(test_outlines), cmocka_unit_test(test_tiles),
-        cmocka_unit_test(test_looks_errors), cmocka_unit_test(test_edges),
+        cmocka_unit_test(test_looks), cmocka_unit_test(test_outlines),     cmocka_unit_test(test_shades),
+        cmocka_unit_test(test_tiles), cmocka_unit_test(test_looks_errors), cmocka_unit_test(test_edges),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

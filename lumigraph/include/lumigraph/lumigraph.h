@@ -334,12 +334,17 @@ LMG_API void lmg_looks_draw(lmg_looks *looks, size_t first, size_t count, lmg_ra
 LMG_API double lmg_looks_weight(const lmg_looks *looks, size_t look);
 
 /* What is seen along them: R,G,B, cd/m2, in the scale of the field; of outlines 0 where light is impossible, and how bright what is met
- * there is expected to be, up to 1, the brightest, and 1 where that isn't known.  Once for each look, after it was drawn; calls for different looks may run at once. */
+ * there is expected to be, up to 1, the brightest, and 1 where that isn't known.  For each look, after it was drawn; what is put last counts.
+ * Calls for different looks may run at once. */
 LMG_API void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*radiance)[3]);
 
 /* Of radiance as the trees have it, weighted with etendue, how much is where looks of outlines expect none, or less: the root of the share of
  * its squares, 0 to 1.  Once all looks have been put, before trees are refined by them. */
 LMG_API double lmg_looks_misplaced(const lmg_looks *looks);
+
+/* How far that radiance is from being in proportion to what looks expect or see: the root of the share of its squares that isn't, 0 to 1. When
+ * it may be asked: as above. */
+LMG_API double lmg_looks_unexpected(const lmg_looks *looks);
 
 /* Grows the field's trees anew, of what was seen along all looks; each tree keeps its light.  field: the looks' own.  Once: afterwards looks
  * can only be destroyed.  On failure both are as before.  Errors: LMG_ERROR_ARGUMENT, LMG_ERROR_UNSUPPORTED (larger than a file may
@@ -352,8 +357,13 @@ typedef struct lmg_tree_totals {
     uint32_t tiles, kinds; /* of slabs whose light repeats itself, such as a louvre's: tiles of one kind share their rays; 0: none does */
     uint64_t leaves, rays, looks;
     size_t memory; /* bytes, part of lmg_field_memory */
+    size_t bytes;  /* of a file */
 } lmg_tree_totals;
 LMG_API lmg_tree_totals lmg_field_trees(const lmg_field *field);
+
+/* Takes trees away, each of which is an estimate by itself, until the rest take at most so many bytes of a file; where that would leave less than
+ * two, all.  Returns how many are left. */
+LMG_API uint32_t lmg_field_thin_trees(lmg_field *field, size_t bytes);
 
 /* ---------------------------------------------------------------------------------------------------------------- file */
 
