@@ -11,10 +11,11 @@
 
 /* Rays for trees are traced once more in rounds of so many photons, so that Ctrl-C is heard. */
 static const uint64_t TREE_ROUND = 200000;
-/* Seconds of a processor, about, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; and
- * the most that trees take of a bake by time, asked for or not, and looks of that. */
-static const double TREE_SECONDS = 2.2e-7, LOOK_TREE_SECONDS = 2.3e-7, LOOK_SECONDS = 9e-7;
-static const double MOST_FOR_TREES = 0.5, MOST_FOR_TREES_UNASKED = 0.25, LOOKS_OF_THAT = 0.8;
+/* Seconds, about: of a processor, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; on one
+ * thread, that sorting and placing a ray takes. */
+static const double TREE_SECONDS = 2.2e-7, LOOK_TREE_SECONDS = 2.3e-7, LOOK_SECONDS = 9e-7, RAY_SECONDS = 4e-7;
+/* The most that trees take of a bake by time, asked for or not; the least of that for looks; and what they take at all events. */
+static const double MOST_FOR_TREES = 0.5, MOST_FOR_TREES_UNASKED = 0.25, LEAST_FOR_LOOKS = 0.3, MOST_AT_ALL = 0.7;
 /* Of a file as large as it may be: what trees may take, and what a look comes to in one of eight trees, bytes: 0.05 (spot, lens) to 0.06 (globe). */
 static const double SIZE_FOR_TREES = 1.0 / 3, LOOK_BYTES = 0.06;
 /* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
@@ -22,9 +23,10 @@ static const double LOOKS_PER_PHOTON = 2;
 /* Variance of a look over that of a photon, beyond which looks tell outlines only: with 18 the opal globe's trees are a little worse. */
 static const double MOST_LOOK_NOISE = 0.5;
 static const uint64_t NOISE_PHOTONS = 8192;
-/* Outlines are worth their time where so much of radiance, RMS, lies beyond them (lmg_looks_misplaced); so many looks tell. */
-static const double LEAST_MISPLACED = 0.03;
-static const uint64_t FEW_LOOKS = 100000;
+/* Outlines are worth their time where so much of radiance, RMS, as trees of so many pilot photons have it, lies beyond them
+ * (lmg_looks_misplaced): phosphor LED 0.05, opal globe 0.21, opal ball 0.16; so many looks tell. */
+static const double LEAST_MISPLACED = 0.1;
+static const uint64_t OUTLINE_PHOTONS = 100000, FEW_LOOKS = 100000;
 
 static bool stopped(const bake_trees *t)
 {
@@ -36,30 +38,92 @@ static double pilot_rate(const bake_trees *t)
     return (double)t->part->pilot_photons / fmax(t->report->pilot_seconds, 1e-6);
 }
 
+static double turns(const bake_trees *t)
+{
+    return ceil(t->count / fmin(bake_thread_count(t->options->threads), t->count));
+}
+
+/* Seconds that trees take of photons alone. */
+static double rays_seconds(const bake_trees *t, double seconds)
+{
+    return fmin(pilot_rate(t) * seconds, (double)bake_trees_photons(t)) * (turns(t) * TREE_SECONDS + RAY_SECONDS);
+}
+
 /* Seconds that a look takes with all that hangs on it.  A path backwards takes about as long as a photon; an outline is its first ray. */
 static double look_seconds(const bake_trees *t)
 {
-    const bake_options *o = t->options;
-    const double threads = bake_thread_count(o->threads), turns = ceil(t->count / fmin(threads, t->count));
-    return (t->kind == LMG_LOOK_RADIANCE ? 1 / pilot_rate(t) : 0) + LOOK_SECONDS / threads + turns * LOOK_TREE_SECONDS;
+    return (t->kind == LMG_LOOK_RADIANCE ? 1 / pilot_rate(t) : 0) + LOOK_SECONDS / bake_thread_count(t->options->threads) +
+           turns(t) * LOOK_TREE_SECONDS;
+}
+
+/* Rays of so many pilot photons; *list: the caller's to destroy. */
+static lmg_result trace_pilot(const bake_trees *t, uint64_t photons, bake_ray_list **list, const lmg_ray **rays, size_t *count, lmg_error *err)
+{
+    lmg_result result = bake_ray_list_create(photons, list, err);
+    if (result != LMG_OK)
+        return result;
+    const lmg_sink sink = bake_ray_list_sink(*list);
+    bake_tally tally = {0};
+    result = t->tracer->run(t->tracer, BAKE_PILOT_FIRST, photons, t->options->threads, &sink, 1, &tally, err);
+    *rays = bake_ray_list_sorted(*list, count);
+    return result == LMG_OK ? bake_ray_list_check(*list, err) : result;
 }
 
 /* The variance of a look, of pilot photons (bake_look_noise). */
 static lmg_result pilot_noise(const bake_trees *t, double *noise, lmg_error *err)
 {
-    bake_ray_list *list;
-    lmg_result result = bake_ray_list_create(NOISE_PHOTONS, &list, err);
-    if (result != LMG_OK)
-        return result;
-    const lmg_sink sink = bake_ray_list_sink(list);
-    bake_tally tally = {0};
-    result = t->tracer->run(t->tracer, BAKE_PILOT_FIRST, NOISE_PHOTONS, t->options->threads, &sink, 1, &tally, err);
+    bake_ray_list *list = NULL;
+    const lmg_ray *rays;
     size_t count;
-    const lmg_ray *rays = bake_ray_list_sorted(list, &count);
-    if (result == LMG_OK)
-        result = bake_ray_list_check(list, err);
+    lmg_result result = trace_pilot(t, NOISE_PHOTONS, &list, &rays, &count, err);
     if (result == LMG_OK)
         result = bake_look_noise(t->tracer, rays, count, noise, err);
+    bake_ray_list_destroy(list);
+    return result;
+}
+
+/* Draws looks that tell outlines from the field's trees: how bright which surface is, *brightness, the caller's, and how much of the trees'
+ * radiance is where less is expected. */
+static lmg_result survey(const bake_trees *t, const lmg_field *field, const lmg_ray *rays, size_t count, float **brightness,
+                         double *misplaced, lmg_error *err)
+{
+    const bake_options *o = t->options;
+    lmg_looks *looks;
+    lmg_result result = lmg_looks_create(field, LMG_LOOK_OUTLINE, FEW_LOOKS, o->seed, &looks, err);
+    if (result == LMG_OK)
+        result = bake_look_brightness(t->tracer, looks, rays, count, o->threads, brightness, err);
+    if (result == LMG_OK)
+        *misplaced = lmg_looks_misplaced(looks);
+    lmg_looks_destroy(looks);
+    return result;
+}
+
+/* How much of radiance outlines would move, as trees of some pilot photons have it. */
+static lmg_result pilot_misplaced(const bake_trees *t, double *misplaced, lmg_error *err)
+{
+    bake_ray_list *list = NULL;
+    const lmg_ray *rays;
+    size_t count;
+    lmg_accumulator *accumulator = NULL;
+    lmg_field *field = NULL;
+    float *brightness = NULL;
+    lmg_layout layout = *lmg_accumulator_layout(t->part->accumulator);
+    for (uint32_t i = 0; i < layout.slab_count; ++i) /* trees don't ask the cells */
+        layout.slabs[i].nu = layout.slabs[i].nv = layout.slabs[i].ns = layout.slabs[i].nt = 2;
+    lmg_result result = trace_pilot(t, OUTLINE_PHOTONS, &list, &rays, &count, err);
+    if (result == LMG_OK)
+        result = lmg_accumulator_create(&layout, &accumulator, err);
+    if (result == LMG_OK) {
+        lmg_accumulator_deposit(accumulator, rays, count);
+        result = lmg_field_reconstruct(accumulator, 1, NULL, &field, err);
+    }
+    if (result == LMG_OK)
+        result = lmg_field_grow_trees(field, rays, count, 2, err);
+    if (result == LMG_OK)
+        result = survey(t, field, rays, count, &brightness, misplaced, err);
+    free(brightness);
+    lmg_field_destroy(field);
+    lmg_accumulator_destroy(accumulator);
     bake_ray_list_destroy(list);
     return result;
 }
@@ -85,9 +149,17 @@ static bool decide_kind(bake_trees *t)
         t->kind = LMG_LOOK_RADIANCE;
         return true;
     }
-    if (bake_tracer_has_outline(t->tracer, &obstacle))
+    double misplaced;
+    if (!bake_tracer_has_outline(t->tracer, &obstacle))
+        snprintf(why, room, "none: nothing can be seen of a lamp with %s by rays traced backwards", obstacle);
+    else if (t->options->looks_chosen)
         return true;
-    snprintf(why, room, "none: nothing can be seen of a lamp with %s by rays traced backwards", obstacle);
+    else if (pilot_misplaced(t, &misplaced, &err) != LMG_OK)
+        snprintf(why, room, "none: %s", err.message);
+    else if (misplaced < LEAST_MISPLACED)
+        snprintf(why, room, "none: paths would tell outlines only, beyond which there is hardly any radiance (%.2g %%, RMS)", 100 * misplaced);
+    else
+        return true;
     return false;
 }
 
@@ -121,8 +193,10 @@ static void decide_looks(bake_trees *t, double seconds)
         return;
     const double bytes = SIZE_FOR_TREES * (o->size > 0 ? o->size : BAKE_SIZE);
     t->most_looks = some ? (uint64_t)fmin(BAKE_MOST_LOOKS, bytes / (LOOK_BYTES * t->count)) : 0;
-    if (some && o->photons == 0)
-        t->most_looks = (uint64_t)fmin((double)t->most_looks, LOOKS_OF_THAT * most_of_time(t) * seconds / look_seconds(t));
+    if (some && o->photons == 0) {
+        const double most = most_of_time(t) * seconds, looks = fmax(most - rays_seconds(t, seconds), LEAST_FOR_LOOKS * most);
+        t->most_looks = (uint64_t)fmin((double)t->most_looks, looks / look_seconds(t));
+    }
 }
 
 uint64_t bake_trees_photons(const bake_trees *t)
@@ -162,40 +236,19 @@ lmg_result bake_trees_begin(bake_trees *t, double seconds, lmg_error *err)
     return keep_rays(t, err);
 }
 
-/* Whether outlines have anything to tell: some looks say how bright which surface is, *brightness, the caller's, and how much of the trees'
- * radiance is where less is expected. */
-static lmg_result survey(const bake_trees *t, const lmg_field *field, const lmg_ray *rays, size_t count, float **brightness, bool *worth_it,
-                         lmg_error *err)
-{
-    const bake_options *o = t->options;
-    lmg_looks *looks;
-    lmg_result result = lmg_looks_create(field, LMG_LOOK_OUTLINE, FEW_LOOKS, o->seed, &looks, err);
-    if (result == LMG_OK)
-        result = bake_look_brightness(t->tracer, looks, rays, count, o->threads, brightness, err);
-    if (result == LMG_OK) {
-        const double misplaced = lmg_looks_misplaced(looks);
-        *worth_it = misplaced >= LEAST_MISPLACED || o->looks_chosen;
-        if (!*worth_it)
-            snprintf(t->report->looks_why, sizeof(t->report->looks_why),
-                     "none: paths would tell outlines only, beyond which the trees have hardly any radiance (%.2g %%, RMS)", 100 * misplaced);
-    }
-    lmg_looks_destroy(looks);
-    return result;
-}
-
 /* Refines the trees by what is seen of the lamp; they stay as they are if somebody says stop. */
 static lmg_result look_into(const bake_trees *t, lmg_field *field, const lmg_ray *rays, size_t ray_count, lmg_error *err)
 {
     const bake_options *o = t->options;
     const double photons = (double)t->part->tally.photons;
     const uint64_t count = o->looks_chosen ? o->looks : (uint64_t)fmin(LOOKS_PER_PHOTON * photons, (double)t->most_looks);
-    bool worth_it = true;
+    double misplaced;
     float *brightness = NULL;
     lmg_looks *looks = NULL;
     lmg_result result = LMG_OK;
     if (count > 0 && t->kind == LMG_LOOK_OUTLINE)
-        result = survey(t, field, rays, ray_count, &brightness, &worth_it, err);
-    if (result == LMG_OK && count > 0 && worth_it && !stopped(t)) {
+        result = survey(t, field, rays, ray_count, &brightness, &misplaced, err);
+    if (result == LMG_OK && count > 0 && !stopped(t)) {
         result = lmg_looks_create(field, t->kind, (size_t)count, o->seed, &looks, err);
         if (result == LMG_OK)
             result = bake_look_run(t->tracer, looks, brightness, t->report->flux_lm, o->threads, o->stop, err);
@@ -237,12 +290,9 @@ void bake_trees_grow(bake_trees *t, lmg_field *field)
 
 double bake_trees_share(const bake_trees *t, double seconds)
 {
-    const bake_options *o = t->options;
     if (t->count == 0)
         return 0;
-    const double rate = pilot_rate(t), turns = ceil(t->count / fmin(bake_thread_count(o->threads), t->count));
-    const double photons = fmin(rate * seconds, (double)bake_trees_photons(t)) * turns * TREE_SECONDS / seconds;
     /* of each second so much goes to the looks of the photons that the rest traces, as long as there are no more than the most */
-    const double each = look_seconds(t), looks = LOOKS_PER_PHOTON * rate * each;
-    return fmin(photons + fmin(looks / (1 + looks), (double)t->most_looks * each / seconds), most_of_time(t));
+    const double each = look_seconds(t), looks = LOOKS_PER_PHOTON * pilot_rate(t) * each;
+    return fmin(rays_seconds(t, seconds) / seconds + fmin(looks / (1 + looks), (double)t->most_looks * each / seconds), MOST_AT_ALL);
 }
