@@ -345,12 +345,43 @@ static void test_same_again(void **state)
     lmg_field_destroy(field);
 }
 
+/* For a file that is too small for all of them: the others stay what they are, and two at least have to. */
+static void test_fewer(void **state)
+{
+    (void)state;
+    lmg_field *field = trees_small_field(1, 20000, 8), *less = trees_small_field(1, 20000, 8);
+    const lmg_tree_totals all = lmg_field_trees(field);
+    assert_int_equal(lmg_field_thin_trees(field, all.bytes), 8);
+    assert_int_equal(lmg_field_trees(field).bytes, all.bytes);
+    const uint32_t left = lmg_field_thin_trees(less, all.bytes / 2);
+    const lmg_tree_totals half = lmg_field_trees(less);
+    assert_in_range(left, 3, 5);
+    assert_true(half.trees == left && half.bytes <= all.bytes / 2 && half.memory < all.memory && half.leaves < all.leaves);
+    for (uint32_t k = 0; k < left; k++) {
+        const lmg_tree *a = &field->trees->trees[k], *b = &less->trees->trees[k];
+        assert_int_equal(a->count, b->count);
+        assert_memory_equal(a->nodes, b->nodes, a->count * sizeof *a->nodes);
+    }
+    /* as many as fit, and the next would not */
+    assert_int_equal(lmg_field_thin_trees(field, half.bytes), left);
+    assert_int_equal(lmg_field_thin_trees(field, half.bytes - 1), left - 1);
+    lmg_field *plain = trees_small_field(1, 20000, 0);
+    const lmg_ray ray = {.origin = {0, 0, 0}, .direction = {0, 0, 1}};
+    assert_int_equal(lmg_field_thin_trees(less, 100), 0);
+    assert_int_equal(lmg_field_trees(less).trees, 0);
+    assert_true(trees_linear(less, &ray, NULL) == trees_linear(plain, &ray, NULL));
+    assert_int_equal(lmg_field_thin_trees(plain, 0), 0);
+    lmg_field_destroy(plain);
+    lmg_field_destroy(less);
+    lmg_field_destroy(field);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_light_is_kept),   cmocka_unit_test(test_light_beside), cmocka_unit_test(test_sharper_than_cells),
         cmocka_unit_test(test_standard_errors), cmocka_unit_test(test_colours),      cmocka_unit_test(test_asked_for),
-        cmocka_unit_test(test_same_again),
+        cmocka_unit_test(test_same_again),      cmocka_unit_test(test_fewer),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
