@@ -22,7 +22,8 @@ static const uint64_t BLOCK_PIXELS = 1u << 18;
 typedef struct work {
     const lmg_field *field;
     const picture_set *set;
-    uint32_t first; /* picture */
+    lmg_filter filter; /* trees are what a camera sees; cells aren't interpolated, so that the set has their flux */
+    uint32_t first;    /* picture */
     lum_picture *pictures;
 } work;
 
@@ -57,7 +58,7 @@ static void chunk(void *self, void *state, uint64_t first, uint64_t count)
             const lmg_vec3 d = {shorten * (c.out.x - x * c.right.x - y * c.up.x), shorten * (c.out.y - x * c.right.y - y * c.up.y),
                                 shorten * (c.out.z - x * c.right.z - y * c.up.z)};
             float rgb[3];
-            lmg_field_radiance(w->field, eye, d, LMG_NEAREST, rgb, NULL);
+            lmg_field_radiance(w->field, eye, d, w->filter, rgb, NULL);
             for (int i = 0; i < 3; ++i)
                 sum[i] += (double)rgb[i];
         }
@@ -131,7 +132,11 @@ static lmg_result take_pictures(const lmg_field *field, const bake_picture_set_o
     }
     for (uint32_t first = 0; result == LMG_OK && first < all; first += block) {
         const uint32_t count = all - first < block ? all - first : block;
-        work w = {.field = field, .set = set, .first = first, .pictures = pictures};
+        work w = {.field = field,
+                  .set = set,
+                  .filter = lmg_field_trees(field).trees > 0 ? LMG_LINEAR : LMG_NEAREST,
+                  .first = first,
+                  .pictures = pictures};
         const bake_work job = {.self = &w, .begin = begin, .chunk = chunk, .end = end};
         result = o->stop && *o->stop ? lmg_fail(err, LMG_ERROR_INTERNAL, "interrupted; nothing was written")
                                      : bake_parallel(&job, 0, count * pixels, o->threads, err);

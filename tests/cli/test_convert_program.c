@@ -91,6 +91,12 @@ static json_int_t bytes_in(const char *path)
     return sum;
 }
 
+static void succeeds(outcome o)
+{
+    assert_int_equal(o.code, 0);
+    release(&o);
+}
+
 static void arrows(void **state)
 {
     (void)state;
@@ -141,6 +147,15 @@ static void arrows(void **state)
     assert_int_equal(o.code, 0);
     assert_non_null(strstr(o.out, "MB on disk; the box has"));
     release(&o);
+
+    /* a camera sees trees where a box has them, and much the same light */
+    const name bare = path_of("bare.box.exr"), leafy = path_of("leafy.box.exr"), bare_set = path_of("bare"), leafy_set = path_of("leafy");
+    succeeds(RUN("bake", LAMP, "-o", bare.text, "--photons", "50000", "--cells", "1e5", "-q"));
+    succeeds(RUN("bake", LAMP, "-o", leafy.text, "--photons", "50000", "--cells", "1e5", "--trees", "4", "--looks", "0", "-q"));
+    succeeds(RUN("convert", bare.text, bare_set.text, "--to", "pictures", "--step", "15", "--pixels", "16"));
+    succeeds(RUN("convert", leafy.text, leafy_set.text, "--to", "pictures", "--step", "15", "--pixels", "16"));
+    assert_true(bytes_in(bare_set.text) != bytes_in(leafy_set.text));
+    converts("leafy.box.exr", "leafy2/", "--step", "15", 0.1);
 }
 
 /* Rays in watts make a box in watts, and what reads it says so. */
