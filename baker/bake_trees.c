@@ -16,8 +16,8 @@ static const uint64_t TREE_ROUND = 200000;
 static const double TREE_SECONDS = 2.2e-7, LOOK_TREE_SECONDS = 2.3e-7, LOOK_SECONDS = 9e-7, RAY_SECONDS = 4e-7;
 /* The most that trees take of a bake by time, asked for or not; the least of that for looks; and what they take at all events. */
 static const double MOST_FOR_TREES = 0.5, MOST_FOR_TREES_UNASKED = 0.25, LEAST_FOR_LOOKS = 0.3, MOST_AT_ALL = 0.7;
-/* Of a file as large as it may be: what trees may take, and what a look comes to in one of eight trees, bytes: 0.05 (spot, lens) to 0.06 (globe). */
-static const double SIZE_FOR_TREES = 1.0 / 3, LOOK_BYTES = 0.06;
+/* Of a file as large as it may be: what trees may take; and the bytes that a look comes to in a tree: 0.05 (spot, 8 M looks) to 0.07 (globe). */
+static const double SIZE_FOR_TREES = 1.0 / 3, LOOK_BYTES = 0.07;
 /* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
 static const double LOOKS_PER_PHOTON = 2;
 /* Variance of a look over that of a photon, beyond which looks tell outlines only: with 18 the opal globe's trees are a little worse. */
@@ -191,8 +191,9 @@ static void decide_looks(bake_trees *t, double seconds)
     const bool some = decide_kind(t);
     if (o->looks_chosen)
         return;
-    const double bytes = SIZE_FOR_TREES * (o->size > 0 ? o->size : BAKE_SIZE);
-    t->most_looks = some ? (uint64_t)fmin(BAKE_MOST_LOOKS, bytes / (LOOK_BYTES * t->count)) : 0;
+    t->most_looks = some ? BAKE_MOST_LOOKS : 0;
+    if (o->size > 0) /* else there is room for the most */
+        t->most_looks = (uint64_t)fmin((double)t->most_looks, SIZE_FOR_TREES * o->size / (LOOK_BYTES * t->count));
     if (some && o->photons == 0) {
         const double most = most_of_time(t) * seconds, looks = fmax(most - rays_seconds(t, seconds), LEAST_FOR_LOOKS * most);
         t->most_looks = (uint64_t)fmin((double)t->most_looks, looks / look_seconds(t));
