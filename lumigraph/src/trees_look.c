@@ -53,7 +53,8 @@ static size_t looks_of(const lmg_looks *looks, uint32_t tree)
 
 /* Shares the looks of a tree out among its leaves, as the root of their luminance: so that errors count where it is bright, and
  * dark ones aren't left out.  With as many for each the panel's radiance is off by 17.2 instead of 16.9 %, the lens' by 12.7
- * instead of 12.0, of 4 M looks; in proportion to luminance by 17.1, 12.5. */
+ * instead of 12.0, of 4 M looks; in proportion to luminance by 17.1, 12.5.  Outlines go through leaves that are half dark: as many
+ * for each, the globe is off by 9.9 instead of 10.1 %. */
 static bool share_out(lmg_looks *looks, uint32_t k)
 {
     const lmg_trees *trees = looks->trees;
@@ -79,7 +80,7 @@ static bool share_out(lmg_looks *looks, uint32_t k)
         }
     const double least = light > 0 ? DARKEST * squares / light : 1;
     for (uint32_t n = 0; n < leaves; n++)
-        until[n] = sum += sqrt((double)tree->nodes[leaf[n]].radiance + least);
+        until[n] = sum += looks->kind == LMG_LOOK_OUTLINE ? 1 : sqrt((double)tree->nodes[leaf[n]].radiance + least);
     for (uint32_t n = 0; n < leaves; n++)
         until[n] *= (double)looks_of(looks, k) / sum;
     for (uint32_t n = 0; n < leaves; n++)
