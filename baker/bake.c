@@ -341,11 +341,11 @@ static lmg_result trace(bake *b, double deadline, lmg_error *err)
             team = NULL;
             continue;
         }
-        const bool keep = b->trees.kept && first < o->first + bake_trees_photons(&b->trees);
+        const bool keep = b->trees.kept && first < o->first + b->trees.most_photons;
         if (keep) {
             sinks[1] = bake_ray_list_sink(b->trees.kept);
-            if (round > o->first + bake_trees_photons(&b->trees) - first)
-                round = o->first + bake_trees_photons(&b->trees) - first;
+            if (round > o->first + b->trees.most_photons - first)
+                round = o->first + b->trees.most_photons - first;
         }
         lmg_result result = b->tracer->run(b->tracer, first, round, o->threads, sinks, keep ? 2 : 1, &part->tally, err);
         if (result == LMG_OK)
@@ -653,8 +653,10 @@ static lmg_result bake_all(bake *b, lmg_field **out, lmg_error *err)
         b->trees = (bake_trees){.options = o, .report = r, .tracer = b->tracer, .part = b->part};
         result = bake_trees_begin(&b->trees, seconds, err);
     }
-    if (result == LMG_OK)
-        result = trace(b, o->photons ? (double)INFINITY : began + (seconds - b->part->seconds) * (1 - b->gather_share) * (1 - bake_trees_share(&b->trees, seconds)), err);
+    if (result == LMG_OK) {
+        const double now = bake_clock(), left = fmax(seconds - b->part->seconds - (now - began), 0);
+        result = trace(b, o->photons ? (double)INFINITY : now + (1 - b->gather_share) * bake_trees_tracing(&b->trees, left), err);
+    }
     if (result != LMG_OK)
         return result;
 

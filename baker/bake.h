@@ -50,7 +50,7 @@ typedef struct bake_options {
     double output_flux_lm;             /* > 0: so many lumens leave the luminaire; excludes flux_lm */
     lmg_fit_options fit;               /* layout wishes; the bounds are filled in */
     const lmg_layout *layout;          /* the layout, whatever the pilot and fit say; NULL = fitted */
-    double size;                       /* bytes of the box's file, of which trees get a third; the layout's cells are chosen for the rest, unless fit says cells or resolution;
+    double size;                       /* bytes of the box's file, of which trees get about a third; the layout's cells are chosen for the rest, unless fit says cells or resolution;
                                         * 0 = at most BAKE_SIZE, of at most as many cells as lmg_layout_fit takes by itself */
     const char *settings;              /* further texts for the file, NULL = none: the settings as JSON, ... */
     const char *recipe;                /* ... and the recipe */

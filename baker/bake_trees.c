@@ -14,10 +14,12 @@ static const uint64_t TREE_ROUND = 200000;
 /* Seconds, about: of a processor, that growing a tree takes for each ray and each look, and that drawing a look takes beside tracing it; on one
  * thread, that sorting and placing a ray takes. */
 static const double TREE_SECONDS = 2.2e-7, LOOK_TREE_SECONDS = 2.3e-7, LOOK_SECONDS = 9e-7, RAY_SECONDS = 4e-7;
-/* The most that trees take of a bake by time, asked for or not; the least of that for looks; and what they take at all events. */
-static const double MOST_FOR_TREES = 0.5, MOST_FOR_TREES_UNASKED = 0.25, LEAST_FOR_LOOKS = 0.3, MOST_AT_ALL = 0.7;
-/* Of a file as large as it may be: what trees may take; and the bytes that a look comes to in a tree: 0.05 (spot, 8 M looks) to 0.07 (globe). */
-static const double SIZE_FOR_TREES = 1.0 / 3, LOOK_BYTES = 0.07;
+/* As many trees grow at once as there are processors, up to so many. */
+static const double MOST_AT_ONCE = 16;
+/* What trees may take of a bake by time, asked for or not, and of a file; and of both at least what is left for looks. */
+static const double TIME_FOR_TREES = 0.5, TIME_FOR_TREES_UNASKED = 0.25, SIZE_FOR_TREES = 1.0 / 3, LEAST_FOR_LOOKS = 0.3;
+/* Bytes that a ray and a look come to in a tree: 0.05 to 0.07 a look (spot, globe). */
+static const double RAY_BYTES = 0.06, LOOK_BYTES = 0.07;
 /* Twice the looks divide the error of radiance by 1.07 (panel) to 1.16 (lens). */
 static const double LOOKS_PER_PHOTON = 2;
 /* Variance of a look over that of a photon, beyond which looks tell outlines only: with 18 the opal globe's trees are a little worse. */
@@ -33,27 +35,42 @@ static bool stopped(const bake_trees *t)
     return t->options->stop && *t->options->stop;
 }
 
-static double pilot_rate(const bake_trees *t)
+/* Photons a second, as far as it is known. */
+static double rate(const bake_trees *t)
 {
+    if (t->report->resumed)
+        return (double)t->part->tally.photons / fmax(t->part->seconds, 1e-6);
     return (double)t->part->pilot_photons / fmax(t->report->pilot_seconds, 1e-6);
+}
+
+/* Rays are kept as they are traced, unless others trace some of them, or have: then they are traced once more in the end. */
+static bool keeps_rays(const bake_trees *t)
+{
+    return !t->report->resumed && !t->options->team;
 }
 
 static double turns(const bake_trees *t)
 {
-    return ceil(t->count / fmin(bake_thread_count(t->options->threads), t->count));
+    return ceil(t->count / fmin(bake_thread_count(0), fmin(t->count, MOST_AT_ONCE)));
 }
 
-/* Seconds that trees take of photons alone. */
-static double rays_seconds(const bake_trees *t, double seconds)
+/* Seconds that a photon's rays take in trees. */
+static double photon_seconds(const bake_trees *t)
 {
-    return fmin(pilot_rate(t) * seconds, (double)bake_trees_photons(t)) * (turns(t) * TREE_SECONDS + RAY_SECONDS);
+    return turns(t) * TREE_SECONDS + RAY_SECONDS + (keeps_rays(t) ? 0 : 1 / rate(t));
 }
 
 /* Seconds that a look takes with all that hangs on it.  A path backwards takes about as long as a photon; an outline is its first ray. */
 static double look_seconds(const bake_trees *t)
 {
-    return (t->kind == LMG_LOOK_RADIANCE ? 1 / pilot_rate(t) : 0) + LOOK_SECONDS / bake_thread_count(t->options->threads) +
+    return (t->kind == LMG_LOOK_RADIANCE ? 1 / rate(t) : 0) + LOOK_SECONDS / bake_thread_count(t->options->threads) +
            turns(t) * LOOK_TREE_SECONDS;
+}
+
+/* Looks of a bake of so many photons. */
+static double looks_for(const bake_trees *t, double photons)
+{
+    return t->options->looks_chosen ? (double)t->options->looks : fmin(LOOKS_PER_PHOTON * photons, (double)t->most_looks);
 }
 
 /* Rays of so many pilot photons; *list: the caller's to destroy. */
@@ -167,7 +184,8 @@ uint32_t bake_trees_wanted(const bake_options *o, double seconds)
 {
     if (o->trees != BAKE_TREES_AUTO)
         return o->trees;
-    return o->photons > 0 ? o->photons >= BAKE_TREES_FROM ? BAKE_TREES : 0 : seconds >= BAKE_TREES_SECONDS ? BAKE_TREES : 0;
+    const bool wanted = o->looks_chosen || (o->photons > 0 ? o->photons >= BAKE_TREES_FROM : seconds >= BAKE_TREES_SECONDS);
+    return wanted ? BAKE_TREES : 0;
 }
 
 double bake_trees_leave(double bytes)
@@ -175,51 +193,30 @@ double bake_trees_leave(double bytes)
     return (1 - SIZE_FOR_TREES) * bytes;
 }
 
-static double most_of_time(const bake_trees *t)
+/* No more photons and looks than such a share of something, of which each takes so much. */
+static void limit(bake_trees *t, double share, double photon, double look)
 {
-    return t->options->trees == BAKE_TREES_AUTO ? MOST_FOR_TREES_UNASKED : MOST_FOR_TREES;
+    t->most_photons = (uint64_t)fmin((double)t->most_photons, (1 - LEAST_FOR_LOOKS) * share / photon);
+    t->most_looks = (uint64_t)fmin((double)t->most_looks, (share - (double)t->most_photons * photon) / look);
 }
 
-/* How many looks the trees are grown of, at most: as many as are asked for, and no more than a part of a bake by time can trace, or a part of
- * the file hold. */
-static void decide_looks(bake_trees *t, double seconds)
+/* How many photons and looks the trees are grown of, at most: no more than a part of a bake by time can trace, or a part of the file hold. */
+static void decide_most(bake_trees *t, double seconds)
 {
     const bake_options *o = t->options;
-    t->most_looks = o->looks;
-    if (t->count == 0 || (o->looks_chosen && o->looks == 0))
-        return;
-    const bool some = decide_kind(t);
-    if (o->looks_chosen)
-        return;
+    const bool some = (!o->looks_chosen || o->looks > 0) && decide_kind(t);
     t->most_looks = some ? BAKE_MOST_LOOKS : 0;
+    t->most_photons = some && t->kind == LMG_LOOK_RADIANCE ? BAKE_LOOKED_PHOTONS : BAKE_TREE_PHOTONS;
+    if (o->photons == 0)
+        limit(t, (o->trees == BAKE_TREES_AUTO ? TIME_FOR_TREES_UNASKED : TIME_FOR_TREES) * seconds, photon_seconds(t), look_seconds(t));
     if (o->size > 0) /* else there is room for the most */
-        t->most_looks = (uint64_t)fmin((double)t->most_looks, SIZE_FOR_TREES * o->size / (LOOK_BYTES * t->count));
-    if (some && o->photons == 0) {
-        const double most = most_of_time(t) * seconds, looks = fmax(most - rays_seconds(t, seconds), LEAST_FOR_LOOKS * most);
-        t->most_looks = (uint64_t)fmin((double)t->most_looks, looks / look_seconds(t));
-    }
-}
-
-uint64_t bake_trees_photons(const bake_trees *t)
-{
-    return t->most_looks > 0 && t->kind == LMG_LOOK_RADIANCE ? BAKE_LOOKED_PHOTONS : BAKE_TREE_PHOTONS;
-}
-
-/* Has the rays of the bake's first photons kept for trees while they are traced; where others trace some of them, or have, they are traced
- * once more in the end. */
-static lmg_result keep_rays(bake_trees *t, lmg_error *err)
-{
-    const bake_options *o = t->options;
-    if (t->count == 0 || t->report->resumed || o->team)
-        return LMG_OK;
-    const uint64_t all = bake_trees_photons(t), most = o->photons > 0 && o->photons < all ? o->photons : all;
-    return bake_ray_list_create((size_t)most + 1024, &t->kept, err);
+        limit(t, SIZE_FOR_TREES * o->size, t->count * RAY_BYTES, t->count * LOOK_BYTES);
 }
 
 static lmg_result trace_rays(bake_trees *t, lmg_error *err)
 {
     const bake_options *o = t->options;
-    const uint64_t all = t->part->tally.photons, most = bake_trees_photons(t), wanted = all < most ? all : most;
+    const uint64_t all = t->part->tally.photons, wanted = all < t->most_photons ? all : t->most_photons;
     lmg_result result = bake_ray_list_create((size_t)wanted + 1024, &t->kept, err);
     const lmg_sink sink = t->kept ? bake_ray_list_sink(t->kept) : (lmg_sink){0};
     bake_tally tally = {0};
@@ -232,25 +229,37 @@ static lmg_result trace_rays(bake_trees *t, lmg_error *err)
 
 lmg_result bake_trees_begin(bake_trees *t, double seconds, lmg_error *err)
 {
-    t->count = bake_trees_wanted(t->options, seconds);
-    decide_looks(t, seconds);
-    return keep_rays(t, err);
+    const bake_options *o = t->options;
+    const double whole = fmax(seconds, t->part->seconds); /* a bake that is resumed for a moment is as long as it was */
+    t->count = bake_trees_wanted(o, whole);
+    if (t->count == 0)
+        return LMG_OK;
+    decide_most(t, whole);
+    if (!keeps_rays(t))
+        return LMG_OK;
+    const uint64_t most = o->photons > 0 && o->photons < t->most_photons ? o->photons : t->most_photons;
+    return bake_ray_list_create((size_t)most + 1024, &t->kept, err);
 }
 
-/* Refines the trees by what is seen of the lamp; they stay as they are if somebody says stop. */
-static lmg_result look_into(const bake_trees *t, lmg_field *field, const lmg_ray *rays, size_t ray_count, lmg_error *err)
+/* Refines the trees by what is seen of the lamp; they stay as they are if somebody says stop.  The rays aren't needed for that but where
+ * outlines ask them how bright surfaces are. */
+static lmg_result look_into(bake_trees *t, lmg_field *field, lmg_error *err)
 {
     const bake_options *o = t->options;
-    const double photons = (double)t->part->tally.photons;
-    const uint64_t count = o->looks_chosen ? o->looks : (uint64_t)fmin(LOOKS_PER_PHOTON * photons, (double)t->most_looks);
-    double misplaced;
+    const uint64_t looks_wanted = (uint64_t)looks_for(t, (double)t->part->tally.photons);
     float *brightness = NULL;
     lmg_looks *looks = NULL;
     lmg_result result = LMG_OK;
-    if (count > 0 && t->kind == LMG_LOOK_OUTLINE)
-        result = survey(t, field, rays, ray_count, &brightness, &misplaced, err);
-    if (result == LMG_OK && count > 0 && !stopped(t)) {
-        result = lmg_looks_create(field, t->kind, (size_t)count, o->seed, &looks, err);
+    if (looks_wanted > 0 && t->kind == LMG_LOOK_OUTLINE) {
+        size_t count;
+        double misplaced;
+        const lmg_ray *rays = bake_ray_list_sorted(t->kept, &count);
+        result = survey(t, field, rays, count, &brightness, &misplaced, err);
+    }
+    bake_ray_list_destroy(t->kept);
+    t->kept = NULL;
+    if (result == LMG_OK && looks_wanted > 0 && !stopped(t)) {
+        result = lmg_looks_create(field, t->kind, (size_t)looks_wanted, o->seed, &looks, err);
         if (result == LMG_OK)
             result = bake_look_run(t->tracer, looks, brightness, t->report->flux_lm, o->threads, o->stop, err);
         if (result == LMG_OK && !stopped(t))
@@ -277,7 +286,7 @@ void bake_trees_grow(bake_trees *t, lmg_field *field)
         const lmg_ray *rays = bake_ray_list_sorted(t->kept, &count);
         if (result == LMG_OK)
             result = lmg_field_grow_trees(field, rays, count, t->count, &why);
-        if (result == LMG_OK && look_into(t, field, rays, count, &why) != LMG_OK)
+        if (result == LMG_OK && look_into(t, field, &why) != LMG_OK)
             snprintf(r->looks_why, sizeof(r->looks_why), "none: %s", why.message);
     }
     r->trees_seconds = bake_clock() - began;
@@ -289,11 +298,15 @@ void bake_trees_grow(bake_trees *t, lmg_field *field)
     r->interrupted = r->interrupted || result == LMG_OK;
 }
 
-double bake_trees_share(const bake_trees *t, double seconds)
+double bake_trees_tracing(const bake_trees *t, double left)
 {
     if (t->count == 0)
-        return 0;
-    /* of each second so much goes to the looks of the photons that the rest traces, as long as there are no more than the most */
-    const double each = look_seconds(t), looks = LOOKS_PER_PHOTON * pilot_rate(t) * each;
-    return fmin(rays_seconds(t, seconds) / seconds + fmin(looks / (1 + looks), (double)t->most_looks * each / seconds), MOST_AT_ALL);
+        return left;
+    double least = 0, most = left; /* the more is traced, the longer trees take */
+    for (int i = 0; i < 40; ++i) {
+        const double tracing = 0.5 * (least + most), photons = (double)t->part->tally.photons + rate(t) * tracing;
+        const double growing = fmin(photons, (double)t->most_photons) * photon_seconds(t) + looks_for(t, photons) * look_seconds(t);
+        *(tracing + growing < left ? &least : &most) = tracing;
+    }
+    return least;
 }

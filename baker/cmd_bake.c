@@ -162,8 +162,6 @@ static void settle_photons(struct argp_state *state, command *c)
         usage_error(state, "--trees, --looks: a bake in parts is merged without its rays, which trees grow of; leave these out, or --share and --first");
     if (o->trees == BAKE_TREES_AUTO && (parts || c->target.error > 0))
         o->trees = 0;
-    else if (o->trees == BAKE_TREES_AUTO && o->looks_chosen)
-        o->trees = BAKE_TREES;
 }
 
 static void argument_effects(struct argp_state *state, const char *text, bake_options *o)
@@ -371,7 +369,7 @@ static char *settings_text(const command *c)
         json_object_set_new(o, "size", json_real(c->bake.size));
     if (c->target.error > 0) /* up to 64 million cells then */
         json_object_set_new(o, "error", json_real(c->target.error));
-    if (c->bake.trees != BAKE_TREES_AUTO && c->bake.trees > 0)
+    if (c->bake.trees != BAKE_TREES_AUTO && !c->shares && !c->given_first && !(c->target.error > 0))
         json_object_set_new(o, "trees", json_integer(c->bake.trees));
     if (c->bake.looks_chosen)
         json_object_set_new(o, "looks", json_integer((json_int_t)c->bake.looks));
@@ -459,6 +457,8 @@ static json_t *summary_json(const command *c, const lmg_field *field, const bake
                                   r->trace_seconds, "gather", r->gather_seconds, "reconstruct", r->reconstruct_seconds, "trees",
                                   r->trees_seconds, "total", seconds));
     json_object_set_new(o, "trees", json_trees(field));
+    if (r->no_trees_why[0])
+        json_object_set_new(o, "no_trees_why", json_string(r->no_trees_why));
     if (r->looks_why[0])
         json_object_set_new(o, "looks_why", json_string(r->looks_why));
     json_object_set_new(o, "bytes", json_integer((json_int_t)bytes));

@@ -96,14 +96,14 @@ static void survey_end(void *self, void *state)
 }
 
 /* What is met first along the looks, or rays. */
-static lmg_result survey(survey_job *j, size_t count, unsigned threads, lmg_error *err)
+static lmg_result meet_surfaces(survey_job *j, size_t count, unsigned threads, lmg_error *err)
 {
     const bake_work work = {.self = j, .begin = survey_begin, .chunk = survey_chunk, .end = survey_end};
     j->surface = malloc((count + 1) * sizeof(*j->surface));
     return j->surface ? bake_parallel(&work, 0, count, threads, err) : lmg_fail(err, LMG_ERROR_MEMORY, "looks: no memory");
 }
 
-/* Of a surface: light, lm (in any unit), etendue, and how many rays and looks tell them. */
+/* Of a surface: light, in any unit, etendue, and how many looks have met it. */
 typedef struct surface_sums {
     double light, etendue;
     size_t looks;
@@ -118,9 +118,11 @@ static void set_brightness(const surface_sums *of, uint32_t surfaces, double ray
     }
     for (int pass = 0; pass < 2; ++pass) /* the most, then parts of it */
         for (uint32_t i = 0; i < surfaces; ++i) {
-            const double l = of[i].looks < FEWEST_MET ? light / etendue : fmax(of[i].light, NO_RAY * ray) / of[i].etendue;
+            const double l = of[i].looks >= FEWEST_MET ? fmax(of[i].light, NO_RAY * ray) / of[i].etendue
+                             : etendue > 0             ? light / etendue
+                                                       : 0;
             most = fmax(most, l);
-            brightness[i] = most > 0 && l <= most ? (float)(l / most) : 1;
+            brightness[i] = most > 0 ? (float)(l / most) : 1;
         }
 }
 
@@ -145,9 +147,9 @@ lmg_result bake_look_brightness(const bake_source *tracer, lmg_looks *looks, con
         even[i] = 1;
     lmg_result result = of && made && even ? LMG_OK : lmg_fail(err, LMG_ERROR_MEMORY, "looks: no memory");
     if (result == LMG_OK)
-        result = survey(&by_looks, look_count, threads, err);
+        result = meet_surfaces(&by_looks, look_count, threads, err);
     if (result == LMG_OK)
-        result = survey(&by_rays, asked, threads, err);
+        result = meet_surfaces(&by_rays, asked, threads, err);
     if (result == LMG_OK) {
         double light = 0;
         for (size_t i = 0; i < look_count; ++i)

@@ -252,7 +252,7 @@ double lmg_looks_weight(const lmg_looks *looks, size_t look)
     return (double)looks->look[look].weight;
 }
 
-/* Sums over all looks, weighted with etendue: of the trees' squared radiance, of that where less is expected, of radiance times
+/* Sums over all looks, weighted with etendue: of the trees' squared radiance, of that where none is expected, of radiance times
  * what is expected, and of the square of that. */
 typedef struct agreement {
     double squares, misplaced, product, expected;
@@ -268,7 +268,7 @@ static agreement agreement_of(const lmg_looks *looks)
         const double y = lmg_trees_luminance(looks->trees, looks->root[i], l->at, NULL), x = (double)l->luminance,
                      w = (double)l->weight;
         a.squares += w * y * y;
-        a.misplaced += w * y * y * (1 - x) * (1 - x);
+        a.misplaced += x > 0 ? 0 : w * y * y;
         a.product += w * y * x;
         a.expected += w * x * x;
     }

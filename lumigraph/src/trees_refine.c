@@ -71,7 +71,7 @@ typedef struct piece {
     lmg_tree_box box;
     double etendue;
     double before, variance; /* luminance of the leaf that it is a part of, and relative variance of that */
-    double usual;            /* variance of a lmg_look */
+    double usual;            /* variance of a look */
     double edge_penalty;
     uint64_t key;
     unsigned depth;
@@ -492,14 +492,15 @@ static void mix_light(lmg_sapling *s, uint32_t first, const piece *leaf, double 
 
 /* The same where looks tell outlines: notes how much light is expected of it, and how much the photons, nodes to->first and on
  * having grown of it, brought there; divide_light does the rest. */
-static void pool_leaf(lmg_sapling *s, pool *to, double luminance, double variance, double etendue, const sums *all, double light)
+static void pool_leaf(lmg_sapling *s, pool *to, double luminance, double variance, double etendue, const sums *all, double usual,
+                      double light)
 {
     if (!(light > 0)) { /* empty; with photons they got out between looks, and it isn't */
         s->tree->count = to->first + 1;
         s->tree->nodes[to->first] = (lmg_tree_node){.axis = LMG_LEAF};
-        s->luminance[to->first] = luminance > 0;
+        s->luminance[to->first] = luminance > 0 ? usual : 0;
         s->variance[to->first] = 0;
-        light = luminance > 0 ? etendue : 0;
+        light = s->luminance[to->first] * etendue;
     }
     to->flux = luminance * etendue;
     to->squares = to->flux * to->flux * variance;
@@ -577,7 +578,8 @@ static void grow_from(lmg_sapling *s, lmg_look_kind kind, const former *was, uin
         piece here = *p;
         double light;
         here.etendue = was->etendue[node];
-        here.before = outline ? 1 : luminance;
+        /* what no look stands for; of outlines as the rest, or, with p->before, as all that the root's looks expect */
+        here.before = !outline ? luminance : all.count > 0 ? all.luminance / all.weight : p->before;
         here.variance = outline ? 0 : lmg_leaf_variance(n->code);
         if (all.count == 0 && !outline) {
             lmg_sapling_add(s, luminance, here.variance);
@@ -593,7 +595,7 @@ static void grow_from(lmg_sapling *s, lmg_look_kind kind, const former *was, uin
             return;
         }
         was->pools[node].first = first;
-        pool_leaf(s, &was->pools[node], luminance, lmg_leaf_variance(n->code), here.etendue, &all, light);
+        pool_leaf(s, &was->pools[node], luminance, lmg_leaf_variance(n->code), here.etendue, &all, p->before, light);
         return;
     }
     const uint32_t me = lmg_sapling_add(s, 0, 0);
@@ -640,6 +642,10 @@ static lmg_result refine_tree(void *self, uint64_t k, void *scratch, lmg_error *
         s.tree->first[j] = s.tree->count;
         sort_looks(&was, first, &p.box, own, 0, p.count);
         const double spread = measure_spread(&was, first, end, own, p.count);
+        if (outline) {
+            const sums all = sums_of(own, p.count);
+            p.before = all.luminance > 0 ? all.luminance / all.weight : 1;
+        }
         p.edge_penalty = EDGE_PENALTY + (NOISY_EDGE_PENALTY - EDGE_PENALTY) * fmin(spread, 1);
         grow_from(&s, looks->kind, &was, first, &p, spread);
         if (outline && !s.failed) {

@@ -191,8 +191,8 @@ static void test_shades(void **state)
         }
         print_message("%s: photons %.3f, outlines %.3f, shades %.3f; unexpected %.3f, %.3f, %.3f\n", c == 0 ? "aperture" : "cube",
                       errors[0], errors[1], errors[2], unexpected[1], unexpected[2], unexpected[3]);
-        assert_true(errors[1] < 0.95 * errors[0]);
-        assert_true(errors[2] < 0.92 * errors[1]);
+        assert_true(errors[1] < 0.67 * errors[0]); /* with light that isn't pooled 0.7 */
+        assert_true(errors[2] < 0.88 * errors[1]);
         /* by the angle between two functions: of shades 1 and 1/8 with an even one, and with themselves the other way round */
         assert_near(unexpected[1], sqrt(1 - 1.125 * 1.125 / (2 * (1 + 0.125 * 0.125))), 0.05);
         assert_near(unexpected[3], sqrt(1 - pow(0.25 / (1 + 0.125 * 0.125), 2)), 0.05);
@@ -323,6 +323,7 @@ static void test_looks_errors(void **state)
                                : "outlines",
                       mean, sqrt(spread), sqrt(variance));
         assert_true(spread > 0.64 * variance && spread < 1.57 * variance);
+        assert_near(mean, border ? 1 / (1.2 * 1.2 * 1.2 * 1.2) : 1, 0.03);
     }
 }
 

@@ -338,8 +338,8 @@ LMG_API double lmg_looks_weight(const lmg_looks *looks, size_t look);
  * Calls for different looks may run at once. */
 LMG_API void lmg_looks_put(lmg_looks *looks, size_t first, size_t count, const float (*radiance)[3]);
 
-/* Of radiance as the trees have it, weighted with etendue, how much is where looks of outlines expect none, or less: the root of the share of
- * its squares, 0 to 1.  Once all looks have been put, before trees are refined by them. */
+/* Of radiance as the trees have it, weighted with etendue, how much is where looks expect or see none: the root of the share of its squares, 0
+ * to 1.  Once all looks have been put, before trees are refined by them. */
 LMG_API double lmg_looks_misplaced(const lmg_looks *looks);
 
 /* How far that radiance is from being in proportion to what looks expect or see: the root of the share of its squares that isn't, 0 to 1. When
@@ -362,7 +362,7 @@ typedef struct lmg_tree_totals {
 LMG_API lmg_tree_totals lmg_field_trees(const lmg_field *field);
 
 /* Takes trees away, each of which is an estimate by itself, until the rest take at most so many bytes of a file; where that would leave less than
- * two, all.  Returns how many are left. */
+ * two, all.  Returns how many are left.  Looks at trees that are thinned can only be destroyed. */
 LMG_API uint32_t lmg_field_thin_trees(lmg_field *field, size_t bytes);
 
 /* ---------------------------------------------------------------------------------------------------------------- file */
