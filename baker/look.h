@@ -15,9 +15,12 @@
  * Errors: LMG_ERROR_MEMORY. */
 lmg_result bake_look_noise(const bake_source *tracer, const lmg_ray *rays, size_t count, double *noise, lmg_error *err);
 
-/* Luminance of each surface (bake_tracer_outline), in the mean of all that is seen of it, the brightest one's being 1: the light of the rays
- * that come from it over the etendue of the looks that meet it.  Traces the looks, fresh ones that tell outlines, and puts what is expected of
- * each.  Where the trees' radiance is rather as if all were equally bright, they all are 1.  rays: the lamp's, some of which will do.  *brightness: the caller's.  Same for any threads.  Errors: LMG_ERROR_MEMORY. */
+/*
+ * Luminance of each surface (bake_tracer_outline), in the mean of all that is seen of it, the brightest one's being 1: the light of the
+ * rays that come from it over the etendue of the looks that meet it.  Where the trees' radiance is rather as if all were equally bright,
+ * they all are 1.  Traces the looks, fresh ones that tell outlines, and puts what is expected of each.  rays: the lamp's, some of which
+ * will do.  *brightness: the caller's.  The same for any number of threads.  Errors: LMG_ERROR_MEMORY.
+ */
 lmg_result bake_look_brightness(const bake_source *tracer, lmg_looks *looks, const lmg_ray *rays, size_t count, unsigned threads,
                                 float **brightness, lmg_error *err);
 

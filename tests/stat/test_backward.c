@@ -562,7 +562,8 @@ int main(void)
         {"cells_of_the_panel", sample_lamp, NULL, NULL, panel},
         {"cells_of_the_globe", sample_lamp, NULL, NULL, globe},
         cmocka_unit_test(mixture),
-        cmocka_unit_test(brightness_of_surfaces), cmocka_unit_test(whole_bakes),
+        cmocka_unit_test(brightness_of_surfaces),
+        cmocka_unit_test(whole_bakes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
