@@ -184,7 +184,7 @@ uint32_t bake_trees_wanted(const bake_options *o, double seconds)
 {
     if (o->trees != BAKE_TREES_AUTO)
         return o->trees;
-    const bool wanted = o->looks_chosen || (o->photons > 0 ? o->photons >= BAKE_TREES_FROM : seconds >= BAKE_TREES_SECONDS);
+    const bool wanted = (o->looks_chosen && o->looks > 0) || (o->photons > 0 ? o->photons >= BAKE_TREES_FROM : seconds >= BAKE_TREES_SECONDS);
     return wanted ? BAKE_TREES : 0;
 }
 

@@ -39,6 +39,7 @@ enum {
     KEY_GATHER,
     KEY_TREES,
     KEY_LOOKS,
+    KEY_PHOTONS_ONLY,
     KEY_RESUME,
     KEY_CHECKPOINT,
     KEY_KEEP,
@@ -58,7 +59,7 @@ static const struct argp_option OPTIONS[] = {
     {"output", 'o', "BOX", 0, "the file to write, NAME.box.exr", 1},
     {"time", KEY_TIME, "TIME", 0, "trace for so long: 90s, 5m, 1h (default 60s)", 2},
     {"photons", KEY_PHOTONS, "N", 0, "trace so many photons, such as 1e8", 2},
-    {"error", KEY_ERROR, "PERCENT", 0, "until the box is that near to the lamp's own light, as judged by other rays of it", 2},
+    {"error", KEY_ERROR, "PERCENT", 0, "until the box is that near to the lamp's light", 2},
     {"error-of", KEY_ERROR_OF, "WHAT", 0, "near-field (illuminance at 0.5 to 10 sizes; default), far-field, luminance or flux", 2},
     {"flux", KEY_FLUX, "LM", 0, "what the lamp's sources emit, such as 800lm", 3},
     {"output-flux", KEY_OUTPUT_FLUX, "LM", 0, "what leaves the luminaire", 3},
@@ -74,6 +75,7 @@ static const struct argp_option OPTIONS[] = {
     {"gather", KEY_GATHER, "R|auto", 0, "R rays traced backwards per photon (default none)", 4},
     {"trees", KEY_TREES, "N", 0, "0, or 2 to 16 radiance trees (8 from 20 s on)", 4},
     {"looks", KEY_LOOKS, "N", 0, "backward rays for trees (2 per photon, up to 16M)", 4},
+    {"photons-only", KEY_PHOTONS_ONLY, 0, 0, "no rays traced backwards at all", 4},
     {"seed", KEY_SEED, "N", 0, "seed of the random numbers (default 1)", 5},
     {"threads", KEY_THREADS, "N", 0, "default: all cores; doesn't change the result", 5},
     {"resume", KEY_RESUME, 0, 0, "go on from the checkpoint BOX.part", 6},
@@ -99,7 +101,7 @@ typedef struct command {
     bake_options bake;
     bool resume;
     uint64_t share, shares; /* of --photons: the share-th of shares; 0 = all */
-    bool given_first;
+    bool given_first, photons_only;
     char part[1100]; /* the checkpoint's file */
     bool lossless, quiet, progress, json;
     lmg_rounding lost;  /* by rounding the box's cells */
@@ -154,11 +156,14 @@ static void settle_photons(struct argp_state *state, command *c)
             state,
             "--gather: a bake in parts is merged without its lamp, of photons only; leave out --gather, or --share and --first");
     const bool parts = c->shares || c->given_first, asked = o->trees != BAKE_TREES_AUTO && o->trees > 0;
-    if (o->looks_chosen && o->trees == 0)
+    if (c->photons_only && (o->looks > 0 || o->rays_per_photon != 0))
+        usage_error(state, "--photons-only: no rays are traced backwards then; leave out --looks and --gather");
+    const bool looks = o->looks_chosen && o->looks > 0;
+    if (looks && o->trees == 0)
         usage_error(state, "--looks: they sharpen radiance trees; --trees 0 is for none");
-    if (c->target.error > 0 && (asked || o->looks_chosen))
+    if (c->target.error > 0 && (asked || looks))
         usage_error(state, "--trees, --looks: --error judges cells; bake once more with the --photons that it finds");
-    if (parts && (asked || o->looks_chosen))
+    if (parts && (asked || looks))
         usage_error(state, "--trees, --looks: a bake in parts is merged without its rays, which trees grow of; leave these out, or --share and --first");
     if (o->trees == BAKE_TREES_AUTO && (parts || c->target.error > 0))
         o->trees = 0;
@@ -237,6 +242,9 @@ static error_t parse(int key, char *arg, struct argp_state *state)
     case KEY_LOOKS:
         c->bake.looks_chosen = true;
         c->bake.looks = argument_count(state, "--looks", arg, 0, MOST_LOOKS);
+        break;
+    case KEY_PHOTONS_ONLY:
+        c->photons_only = c->bake.looks_chosen = true;
         break;
     case KEY_SEED:
         c->bake.seed = argument_count(state, "--seed", arg, 0, UINT64_MAX);

@@ -15,7 +15,9 @@ static void test_wanted(void **state)
     bake_options o = {.trees = BAKE_TREES_AUTO};
     assert_int_equal(bake_trees_wanted(&o, 19.9), 0);
     assert_int_equal(bake_trees_wanted(&o, 20), BAKE_TREES);
-    o.looks_chosen = true;
+    o.looks_chosen = true; /* of photons alone */
+    assert_int_equal(bake_trees_wanted(&o, 1), 0);
+    o.looks = 1;
     assert_int_equal(bake_trees_wanted(&o, 1), BAKE_TREES);
     o.looks_chosen = false;
     o.photons = 99999999; /* the time is of no account then */
