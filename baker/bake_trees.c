@@ -26,7 +26,7 @@ static const double LOOKS_PER_PHOTON = 2;
 static const double MOST_LOOK_NOISE = 0.5;
 static const uint64_t NOISE_PHOTONS = 8192;
 /* Outlines are worth their time where so much of radiance, RMS, as trees of so many pilot photons have it, lies beyond them
- * (lmg_looks_misplaced): phosphor LED 0.05, opal globe 0.21, opal ball 0.16; so many looks tell. */
+ * (lmg_looks_misplaced): phosphor LED 0.0004, spot 0.04, opal ball 0.16, opal globe 0.18; so many looks tell. */
 static const double LEAST_MISPLACED = 0.1;
 static const uint64_t OUTLINE_PHOTONS = 100000, FEW_LOOKS = 100000;
 
@@ -99,8 +99,8 @@ static lmg_result pilot_noise(const bake_trees *t, double *noise, lmg_error *err
     return result;
 }
 
-/* Draws looks that tell outlines from the field's trees: how bright which surface is, *brightness, the caller's, and how much of the trees'
- * radiance is where less is expected. */
+/* Draws looks that tell outlines from the field's trees: how bright which surface is, *brightness, the caller's, and, unless NULL, how much of
+ * the trees' radiance is where none is expected. */
 static lmg_result survey(const bake_trees *t, const lmg_field *field, const lmg_ray *rays, size_t count, float **brightness,
                          double *misplaced, lmg_error *err)
 {
@@ -109,7 +109,7 @@ static lmg_result survey(const bake_trees *t, const lmg_field *field, const lmg_
     lmg_result result = lmg_looks_create(field, LMG_LOOK_OUTLINE, FEW_LOOKS, o->seed, &looks, err);
     if (result == LMG_OK)
         result = bake_look_brightness(t->tracer, looks, rays, count, o->threads, brightness, err);
-    if (result == LMG_OK)
+    if (result == LMG_OK && misplaced)
         *misplaced = lmg_looks_misplaced(looks);
     lmg_looks_destroy(looks);
     return result;
@@ -252,9 +252,8 @@ static lmg_result look_into(bake_trees *t, lmg_field *field, lmg_error *err)
     lmg_result result = LMG_OK;
     if (looks_wanted > 0 && t->kind == LMG_LOOK_OUTLINE) {
         size_t count;
-        double misplaced;
         const lmg_ray *rays = bake_ray_list_sorted(t->kept, &count);
-        result = survey(t, field, rays, count, &brightness, &misplaced, err);
+        result = survey(t, field, rays, count, &brightness, NULL, err);
     }
     bake_ray_list_destroy(t->kept);
     t->kept = NULL;

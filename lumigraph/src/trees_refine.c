@@ -415,7 +415,7 @@ static double grow_piece(lmg_sapling *s, piece *p, const sums *all, double *ligh
 typedef struct pool {
     double flux, squares;     /* of its photons, and of their squares */
     double etendue, expected; /* and what is expected of light from it, looks' luminance times etendue */
-    bool even;                /* all that is expected in it has the same luminance */
+    bool even;                /* its light is pooled: in proportion to what is expected, all over it */
     /* leaves */
     double unknown;      /* relative variance of what is expected */
     uint32_t first, end; /* nodes that are in its place */
@@ -534,8 +534,8 @@ static double pool_leaves(const former *was, uint32_t node)
     return p->even ? own : kept;
 }
 
-/* Gives the pieces below a node their light: to each as much as there is of it.  even: the node around it whose luminance is even,
- * NULL if there is none. */
+/* Gives the pieces below a node their light, in proportion to what is expected of each.  even: the node around it over which light
+ * is pooled, NULL if there is none. */
 static void divide_light(lmg_sapling *s, const former *was, uint32_t node, const pool *even)
 {
     const lmg_tree_node *n = &was->tree->nodes[node];
