@@ -133,7 +133,7 @@ double trees_refine_by(lmg_look_kind kind, lmg_field *field, size_t count, size_
         const size_t n = count - first < piece ? count - first : piece;
         lmg_looks_draw(looks, first, n, rays);
         for (size_t i = 0; i < n; i++) {
-            assert_true(rays[i].direction.z >= 0);
+            assert_true(rays[i].origin.z >= TREES_LOW.z && rays[i].direction.z >= 0);
             /* in the plane of the disc, which those that leave the bounds by a side cross beside it */
             const double k = -rays[i].origin.z / rays[i].direction.z;
             const lmg_vec3 o = rays[i].origin, d = rays[i].direction;
