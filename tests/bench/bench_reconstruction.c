@@ -445,11 +445,13 @@ static void judge_pictures(trial *t, errors *box, errors *floor, double lumens_p
         t->tables[k]->error.pictures = sums[k] / energy;
 }
 
-/* Square of the trees' radiance, lm cd/m2: their mean radiance along rays that are distributed as their light, times that light. */
-static double trees_self(const lmg_field *field, uint64_t count, double *se)
+/* Square of the trees' radiance, lm cd/m2: their mean radiance along rays that are distributed as their light, times that light.
+ * *seen: light by paths backwards along these rays, over that of the photons, which is 1 if the judge is right. */
+static double trees_self(const trial *t, uint64_t count, double *se, double *seen, double *seen_se)
 {
+    const lmg_field *field = t->field;
     const lmg_trees *trees = field->trees;
-    double self = 0, squares = 0, flux = 0;
+    double self = 0, squares = 0, flux = 0, found = 0, found_squares = 0;
     lum_rng rng = lum_rng_stream(SEED + 7, 0);
     for (uint32_t r = 0; r < trees->root_count; r++)
         for (uint32_t k = 0; k < trees->tree_count; k++) {
@@ -463,7 +465,7 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
                 upto[i - tree->first[r]] = sum += tree->nodes[i].axis == LMG_LEAF ? (double)tree->nodes[i].radiance * etendue[i] : 0;
             const double light = sum / trees->tree_count;
             const uint64_t samples = 1 + count / trees->root_count / trees->tree_count;
-            double mean = 0, square = 0;
+            double mean = 0, square = 0, part = 0, part_square = 0;
             for (uint64_t n = 0; n < samples && sum > 0; n++) {
                 const double want = lum_rng_next(&rng) * sum;
                 uint32_t lo = 0, hi = end - tree->first[r] - 1;
@@ -500,10 +502,16 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
                        lmg_edge_below(&tree->nodes[at], &b, where) != (leaf == at + 1));
                 const double far = 4 * v_length(v_sub(field->layout.bounds_max, field->layout.bounds_min));
                 lmg_field_radiance(field, v_fma(o, far, d), d, LMG_LINEAR, rgb, NULL);
-                mean += lmg_luminance(rgb);
-                square += lmg_luminance(rgb) * lmg_luminance(rgb);
+                const double y = lmg_luminance(rgb), met = look(t->lamp, v_fma(o, far, d), d, &rng) / y;
+                mean += y;
+                square += y * y;
+                part += met;
+                part_square += met * met;
             }
             mean /= (double)samples;
+            part /= (double)samples;
+            found += light * part;
+            found_squares += light * light * fmax(part_square / (double)samples - part * part, 0) / (double)samples;
             flux += light;
             self += light * mean;
             squares += light * light * fmax(square / (double)samples - mean * mean, 0) / (double)samples;
@@ -511,14 +519,16 @@ static double trees_self(const lmg_field *field, uint64_t count, double *se)
             free(etendue);
         }
     *se = sqrt(squares);
+    *seen = found / flux;
+    *seen_se = sqrt(found_squares) / flux;
     return self;
 }
 
 /* Rays of the box in the receivers, for box and reference scaled to lumens; the box's mean radiance along them, and the standard
- * error of that; and light by paths backwards over that of photons, which is 1 if the judge is right. */
-static double emit(const trial *t, uint64_t count, images *out, double *se, double *seen, double *seen_se)
+ * error of that. */
+static double emit(const trial *t, uint64_t count, images *out, double *se)
 {
-    double self = 0, squares = 0, parts = 0, part_squares = 0;
+    double self = 0, squares = 0;
     for (uint64_t n = 0; n < count; n++) {
         lum_rng rng = lum_rng_stream(SEED + 6, n);
         double xi[5];
@@ -534,16 +544,11 @@ static double emit(const trial *t, uint64_t count, images *out, double *se, doub
                 (*out)[n & 1][k][px] += 1;
         }
         lmg_field_radiance(t->field, v_fma(ray.origin, 4 * t->in.radius, ray.direction), ray.direction, LMG_NEAREST, rgb, NULL);
-        const double own = lmg_luminance(rgb), l = in_trees(t->field, ray.origin, ray.direction) ? 0 : own; /* theirs: trees_self */
-        const double part = own > 0 ? look(t->lamp, v_fma(ray.origin, 4 * t->in.radius, ray.direction), ray.direction, &rng) / own : 0;
-        parts += part;
-        part_squares += part * part;
+        const double l = in_trees(t->field, ray.origin, ray.direction) ? 0 : lmg_luminance(rgb); /* theirs: trees_self */
         self += l;
         squares += l * l;
     }
     self /= (double)count;
-    *seen = parts / (double)count;
-    *seen_se = sqrt(fmax(part_squares / (double)count - *seen * *seen, 0) / (double)count);
     *se = sqrt(fmax(squares / (double)count - self * self, 0) / (double)count);
     return self;
 }
@@ -666,15 +671,16 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     t.reference = reserve(1, sizeof *t.reference);
     for_photons(&l, UINT64_C(1) << 40, judging, judge_by, &t);
     images *emitted = reserve(1, sizeof *emitted);
-    double self_se, light, light_se;
-    const double self = emit(&t, judging, emitted, &self_se, &light, &light_se);
+    double self_se;
+    const double self = emit(&t, judging, emitted, &self_se);
     const double flux = l.source->flux, per_judge = flux / (double)judging, per_photon = flux / (double)photons,
                  per_emitted = ledger.stored / (double)judging;
 
     errors box = {0}, floor = {0};
     /* squares of radiance, lm cd/m2: box, box x lamp, lamp */
-    double trees_se = 0;
-    const double bb = ledger.stored * self + (t.field->trees ? trees_self(t.field, judging, &trees_se) : 0), bl = per_judge * t.cross, ll = per_judge * t.square;
+    double trees_se = 0, light = 1, light_se = 0;
+    const double bb = ledger.stored * self + (t.field->trees ? trees_self(&t, judging, &trees_se, &light, &light_se) : 0),
+                 bl = per_judge * t.cross, ll = per_judge * t.square;
     box.radiance = (bb - 2 * bl + ll) / ll;
     floor.radiance =
         hypot(hypot(ledger.stored * self_se, trees_se), per_judge * sqrt(fmax(t.missing_squares - t.missing * t.missing / (double)t.seen, 0))) / ll;
@@ -726,7 +732,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     print_errors("best of each measure", &best);
     print_errors("box", &box);
     print_errors("judge's resolution", &floor);
-    if (l.scene)
+    if (l.scene && t.field->trees)
         printf("light by paths backwards over that by photons: %.4f +- %.4f\n", light, light_se);
     const double ratio[4] = {
         ratio_of(box.near_field, best.near_field, floor.near_field), ratio_of(box.far_field, best.far_field, floor.far_field),
