@@ -7,7 +7,6 @@
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 enum { KEY_KEEP = 256, KEY_LOSSLESS, KEY_JSON };
 
@@ -22,7 +21,8 @@ static const struct argp_option OPTIONS[] = {
 
 static const char DOC[] =
     "Adds up the parts of one bake (BOX.part, what bake --keep, --share or --first leaves, or a checkpoint) and writes its box: bit for "
-    "bit the one that a single run with the same photons gives, in any order.  Parts of different bakes are refused."
+    "bit the one that a single run with the same photons gives, in any order, but for radiance trees, which grow of rays that parts don't "
+    "keep.  Parts of different bakes are refused."
     "\vExample:\n  lumibake merge a.box.exr.part b.box.exr.part -o lamp.box.exr";
 
 typedef struct command {
@@ -83,6 +83,15 @@ static lmg_result add_up(const command *c, bake_part **sum, lmg_error *err)
     return result;
 }
 
+/* Whether the parts' bake was asked for radiance trees. */
+static bool asked_for_trees(const bake_part *sum)
+{
+    json_t *settings = sum->texts[PART_SETTINGS] ? json_loads(sum->texts[PART_SETTINGS], 0, NULL) : NULL;
+    const bool asked = json_integer_value(json_object_get(settings, "trees")) > 0;
+    json_decref(settings);
+    return asked;
+}
+
 static json_t *summary_json(const command *c, const bake_part *sum, const lmg_ledger *l)
 {
     json_t *ranges = json_array();
@@ -101,6 +110,7 @@ static void print_summary(const command *c, const bake_part *sum, const lmg_ledg
         printf("%s %" PRIu64 "-%" PRIu64, i ? "," : ":", sum->ranges[i].first, sum->ranges[i].first + sum->ranges[i].count - 1);
     printf("%s; noise of illuminance one size away %.2g %%\n", sum->range_count > 8 ? ", ..." : "", 100 * bake_part_noise(sum));
     print_ledger(l);
+    printf("  trees     none: they grow of rays, which parts don't keep; for pictures of the lamp itself, bake in one go\n");
 }
 
 int cmd_merge(int argc, char **argv)
@@ -123,7 +133,7 @@ int cmd_merge(int argc, char **argv)
     result = add_up(&c, &sum, &err);
     if (result == LMG_OK)
         result = bake_part_field(sum, NULL, &field, &err);
-    if (result == LMG_OK && !c.quiet && sum->texts[PART_SETTINGS] && strstr(sum->texts[PART_SETTINGS], "\"trees\""))
+    if (result == LMG_OK && !c.quiet && asked_for_trees(sum))
         fputs("warning: the parts are of a bake with --trees, which merging can't grow: the box has none\n", stderr);
     int code = result == LMG_OK ? EXIT_DONE : report_error(result, &err);
     lmg_rounding lost;

@@ -9,7 +9,7 @@
  * of the sum of their squares in units of good ones, 0.6, 2 and 30 %.  Target: chosen within 10 % of the best by that; the best
  * one's luck, being the least of many, makes the ratio too large rather than too small.
  *
- *     test_bench_layout [LAMP|all [photons [MB [photons of the judge]]]]        1e6, 1, 4e6
+ *     test_bench_layout [LAMP|all [photons [MB [photons of the judge [seed]]]]]        1e6, 1, 4e6, 5
  */
 #include "bench_lamp.h"
 #include "judge.h"
@@ -21,7 +21,7 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { SEED = 5, MEASURES = JUDGE_MEASURES + 1 };
+enum { MEASURES = JUDGE_MEASURES + 1 };
 static const double GOOD[JUDGE_MEASURES] = {0.006, 0.02, 0.3}, TARGET = 1.1;
 /* As many as --size takes at most: gigabytes of memory. */
 static const double MOST_CELLS = 64e6;
@@ -71,16 +71,16 @@ static candidate try_layout(const lum_model *model, const judge *j, uint64_t ray
     return c;
 }
 
-static bool try_lamp(const char *name, uint64_t photons, double size, uint64_t judging)
+static bool try_lamp(const char *name, uint64_t photons, double size, uint64_t judging, uint64_t seed)
 {
     static const char *const MEASURE[MEASURES] = {"near", "far", "luminance", "together"};
     lmg_error err = {{0}};
     lum_model *model = bench_load(name);
     judge *j;
-    bench_demand(judge_create(model, SEED, 0, 0, &j, &err), &err);
+    bench_demand(judge_create(model, seed, 0, 0, &j, &err), &err);
     bench_demand(judge_measure_lamp(j, judging, &err), &err);
     printf("%s, %.3g M photons, %.3g MB at most\n", name, 1e-6 * (double)photons, 1e-6 * size);
-    const bake_options plain = {.photons = photons, .seed = SEED};
+    const bake_options plain = {.photons = photons, .seed = seed};
     bake_options o = plain;
     o.size = size;
     const candidate chosen = try_layout(model, j, judging, &o, "chosen");
@@ -141,16 +141,16 @@ int main(int argc, char **argv)
     static const char *const LAMPS[] = {"paraboloid-spot", "glass-lens", "louvred-panel", "opal-globe", "phosphor-led"};
     const char *wanted = argc > 1 ? argv[1] : "all";
     const double photons = argc > 2 ? atof(argv[2]) : 1e6, size = 1e6 * (argc > 3 ? atof(argv[3]) : 1),
-                 judging = argc > 4 ? atof(argv[4]) : 4e6;
+                 judging = argc > 4 ? atof(argv[4]) : 4e6, seed = argc > 5 ? atof(argv[5]) : 5;
     bool within = true, any = false;
-    if (!(photons >= 1 && size > 0 && judging >= 1)) {
-        fprintf(stderr, "usage: %s [LAMP|all [photons [MB [photons of the judge]]]]\n", argv[0]);
+    if (!(photons >= 1 && size > 0 && judging >= 1 && seed >= 0)) {
+        fprintf(stderr, "usage: %s [LAMP|all [photons [MB [photons of the judge [seed]]]]]\n", argv[0]);
         return 2;
     }
     for (size_t i = 0; i < sizeof(LAMPS) / sizeof(LAMPS[0]); ++i)
         if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i]) == 0) {
             any = true;
-            within &= try_lamp(LAMPS[i], (uint64_t)photons, size, (uint64_t)judging);
+            within &= try_lamp(LAMPS[i], (uint64_t)photons, size, (uint64_t)judging, (uint64_t)seed);
         }
     if (!any)
         fprintf(stderr, "no sample lamp is called '%s'\n", wanted);

@@ -160,6 +160,23 @@ static void test_shares(void **state)
     same_file(whole.text, merged.text);
 }
 
+/* Parts keep no rays: what is merged has no trees, and who asked for some hears of it. */
+static void test_merged_without_trees(void **state)
+{
+    (void)state;
+    static const char *const TREES[2] = {"0", "2"};
+    const name box = path_of("grown.box.exr"), part = path_of("grown.box.exr.part"), merged = path_of("merged.box.exr");
+    for (int i = 0; i < 2; ++i) {
+        bake((const char *const[]){"bake", spot, "-o", box.text, "--photons", "20000", "--cells", "1e4", "--trees", TREES[i], "--keep",
+                                   "-q", NULL});
+        outcome o = RUN("merge", part.text, "-o", merged.text);
+        assert_int_equal(o.code, 0);
+        assert_non_null(strstr(o.out, "trees     none"));
+        assert_true((strstr(o.err, "warning") != NULL) == (i == 1));
+        release(&o);
+    }
+}
+
 static void test_strangers_are_refused(void **state)
 {
     (void)state;
@@ -617,6 +634,7 @@ int main(int argc, char **argv)
     }
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_seven_uneven_parts),      cmocka_unit_test(test_shares),
+        cmocka_unit_test(test_merged_without_trees),
         cmocka_unit_test(test_strangers_are_refused),   cmocka_unit_test(test_damaged_parts),
         cmocka_unit_test(test_more_time), cmocka_unit_test(test_interrupted_and_resumed), cmocka_unit_test(test_killed_and_resumed),
         cmocka_unit_test(test_more_photons),            cmocka_unit_test(test_trees),
