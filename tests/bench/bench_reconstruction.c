@@ -502,7 +502,8 @@ static double trees_self(const trial *t, uint64_t count, double *se, double *see
                        lmg_edge_below(&tree->nodes[at], &b, where) != (leaf == at + 1));
                 const double far = 4 * v_length(v_sub(field->layout.bounds_max, field->layout.bounds_min));
                 lmg_field_radiance(field, v_fma(o, far, d), d, LMG_LINEAR, rgb, NULL);
-                const double y = lmg_luminance(rgb), met = look(t->lamp, v_fma(o, far, d), d, &rng) / y;
+                const double y = lmg_luminance(rgb); /* 0: rounding put it beside its root */
+                const double met = y > 0 ? look(t->lamp, v_fma(o, far, d), d, &rng) / y : 0;
                 mean += y;
                 square += y * y;
                 part += met;
