@@ -37,7 +37,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { PLANES = 6, PIXELS = 32, RINGS = 32, SECTORS = 64, VIEWS = 8, PICTURE = 64, SUBPIXELS = 8, MAX_TABLES = 24 };
+enum { PLANES = 6, PIXELS = 32, RINGS = 32, SECTORS = 64, VIEWS = 8, PICTURE = 64, SUBPIXELS = 64, MAX_TABLES = 24 };
 enum { FAR = PLANES, RECEIVERS, BINS = RINGS * SECTORS }; /* bins: of the largest receiver */
 static const double DISTANCE[PLANES] = {0.5, 1, 2, 5, 10, 20};
 /* Directions of the pictures, degrees from the main axis: where a beam is, at its border, and where there is stray light only. */
