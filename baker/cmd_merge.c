@@ -83,11 +83,13 @@ static lmg_result add_up(const command *c, bake_part **sum, lmg_error *err)
     return result;
 }
 
-/* Whether the parts' bake was asked for radiance trees. */
+static const char NO_TREES_WHY[] = "parts keep no rays for them to grow of";
+
+/* Whether the parts' bake was asked for radiance trees: who asks for looks does. */
 static bool asked_for_trees(const bake_part *sum)
 {
     json_t *settings = sum->texts[PART_SETTINGS] ? json_loads(sum->texts[PART_SETTINGS], 0, NULL) : NULL;
-    const bool asked = json_integer_value(json_object_get(settings, "trees")) > 0;
+    const bool asked = json_integer_value(json_object_get(settings, "trees")) > 0 || json_integer_value(json_object_get(settings, "looks")) > 0;
     json_decref(settings);
     return asked;
 }
@@ -97,10 +99,11 @@ static json_t *summary_json(const command *c, const bake_part *sum, const lmg_le
     json_t *ranges = json_array();
     for (size_t i = 0; i < sum->range_count; ++i)
         json_array_append_new(ranges, json_pack("[II]", (json_int_t)sum->ranges[i].first, (json_int_t)sum->ranges[i].count));
-    return json_pack("{s:s, s:s, s:I, s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o}", "format", "lumibake merge 1", "box", c->output, "parts",
+    return json_pack("{s:s, s:s, s:I, s:I, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:n, s:s}", "format", "lumibake merge 1", "box", c->output, "parts",
                      (json_int_t)c->count, "photons", (json_int_t)l->photons, "ranges", ranges, "emitted_lm", json_number(l->emitted),
                      "stored_lm", json_number(l->stored), "residual_lm", json_number(l->residual), "absorbed_lm",
-                     json_number(l->absorbed), "lost_lm", json_number(l->lost), "noise", json_number(bake_part_noise(sum)));
+                     json_number(l->absorbed), "lost_lm", json_number(l->lost), "noise", json_number(bake_part_noise(sum)), "trees", "no_trees_why",
+                     NO_TREES_WHY);
 }
 
 static void print_summary(const command *c, const bake_part *sum, const lmg_ledger *l)
@@ -110,7 +113,7 @@ static void print_summary(const command *c, const bake_part *sum, const lmg_ledg
         printf("%s %" PRIu64 "-%" PRIu64, i ? "," : ":", sum->ranges[i].first, sum->ranges[i].first + sum->ranges[i].count - 1);
     printf("%s; noise of illuminance one size away %.2g %%\n", sum->range_count > 8 ? ", ..." : "", 100 * bake_part_noise(sum));
     print_ledger(l);
-    printf("  trees     none: they grow of rays, which parts don't keep; for pictures of the lamp itself, bake in one go\n");
+    printf("  trees     none (%s)\n", NO_TREES_WHY);
 }
 
 int cmd_merge(int argc, char **argv)
@@ -133,12 +136,12 @@ int cmd_merge(int argc, char **argv)
     result = add_up(&c, &sum, &err);
     if (result == LMG_OK)
         result = bake_part_field(sum, NULL, &field, &err);
-    if (result == LMG_OK && !c.quiet && asked_for_trees(sum))
-        fputs("warning: the parts are of a bake with --trees, which merging can't grow: the box has none\n", stderr);
     int code = result == LMG_OK ? EXIT_DONE : report_error(result, &err);
     lmg_rounding lost;
     if (result == LMG_OK && (write_box(field, c.output, c.lossless, &lost, &err) != LMG_OK || (c.keep && bake_part_write(sum, part, &err) != LMG_OK)))
         code = report_failure(&err);
+    if (code == EXIT_DONE && !c.quiet && asked_for_trees(sum))
+        fprintf(stderr, "warning: no radiance trees, which --trees or --looks asked for: %s\n", NO_TREES_WHY);
     if (code == EXIT_DONE) {
         const lmg_ledger l = lmg_field_ledger(field);
         bool printed = true;

@@ -397,8 +397,8 @@ static lmg_verdict fewer_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
 }
 
 /* Window or none: of those that nested() finds the best with cells shared out evenly, and, if there may be fewer, with a few numbers of
- * them: a narrow window is worth it with fewer cells than a wide one.  That one's cells are shared out as those without it have been,
- * before the two are compared. */
+ * them: a narrow window is worth it with fewer cells than a wide one.  Before that one is compared with none its cells are shared out,
+ * once, as those without it have been until nothing changed. */
 static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, lmg_verdict without)
 {
     double rects[MAX_NESTED][4];

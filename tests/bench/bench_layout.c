@@ -141,16 +141,17 @@ int main(int argc, char **argv)
     static const char *const LAMPS[] = {"paraboloid-spot", "glass-lens", "louvred-panel", "opal-globe", "phosphor-led"};
     const char *wanted = argc > 1 ? argv[1] : "all";
     const double photons = argc > 2 ? atof(argv[2]) : 1e6, size = 1e6 * (argc > 3 ? atof(argv[3]) : 1),
-                 judging = argc > 4 ? atof(argv[4]) : 4e6, seed = argc > 5 ? atof(argv[5]) : 5;
+                 judging = argc > 4 ? atof(argv[4]) : 4e6;
+    const uint64_t seed = argc > 5 ? strtoull(argv[5], NULL, 10) : 5;
     bool within = true, any = false;
-    if (!(photons >= 1 && size > 0 && judging >= 1 && seed >= 0)) {
+    if (!(photons >= 1 && size > 0 && judging >= 1)) {
         fprintf(stderr, "usage: %s [LAMP|all [photons [MB [photons of the judge [seed]]]]]\n", argv[0]);
         return 2;
     }
     for (size_t i = 0; i < sizeof(LAMPS) / sizeof(LAMPS[0]); ++i)
         if (strcmp(wanted, "all") == 0 || strcmp(wanted, LAMPS[i]) == 0) {
             any = true;
-            within &= try_lamp(LAMPS[i], (uint64_t)photons, size, (uint64_t)judging, (uint64_t)seed);
+            within &= try_lamp(LAMPS[i], (uint64_t)photons, size, (uint64_t)judging, seed);
         }
     if (!any)
         fprintf(stderr, "no sample lamp is called '%s'\n", wanted);

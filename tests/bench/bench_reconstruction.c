@@ -446,7 +446,8 @@ static void judge_pictures(trial *t, errors *box, errors *floor, double lumens_p
 }
 
 /* Square of the trees' radiance, lm cd/m2: their mean radiance along rays that are distributed as their light, times that light.
- * *seen: light by paths backwards along these rays, over that of the photons, which is 1 if the judge is right. */
+ * *seen: light by paths backwards along these rays, over that of the trees, which is that of their photons: 1 if the judge is right, but for
+ * what falls where trees are dark, and the noise of those photons. */
 static double trees_self(const trial *t, uint64_t count, double *se, double *seen, double *seen_se)
 {
     const lmg_field *field = t->field;
@@ -502,8 +503,9 @@ static double trees_self(const trial *t, uint64_t count, double *se, double *see
                        lmg_edge_below(&tree->nodes[at], &b, where) != (leaf == at + 1));
                 const double far = 4 * v_length(v_sub(field->layout.bounds_max, field->layout.bounds_min));
                 lmg_field_radiance(field, v_fma(o, far, d), d, LMG_LINEAR, rgb, NULL);
-                const double y = lmg_luminance(rgb); /* 0: rounding put it beside its root */
-                const double met = y > 0 ? look(t->lamp, v_fma(o, far, d), d, &rng) / y : 0;
+                /* numbers of its own, so that rays are the same whatever the viewer does; 0: rounding put the ray beside all slabs */
+                lum_rng of_look = lum_rng_stream(SEED + 8, ((uint64_t)r * trees->tree_count + k) * samples + n);
+                const double y = lmg_luminance(rgb), met = y > 0 ? look(t->lamp, v_fma(o, far, d), d, &of_look) / y : 0;
                 mean += y;
                 square += y * y;
                 part += met;
@@ -734,7 +736,8 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     print_errors("box", &box);
     print_errors("judge's resolution", &floor);
     if (l.scene && t.field->trees)
-        printf("light by paths backwards over that by photons: %.4f +- %.4f\n", light, light_se);
+        printf("light by paths backwards over that of the trees: %.4f +- %.4f%s\n", light, light_se,
+               fabs(light - 1) > 4 * light_se + 0.003 ? ": THE JUDGE IS WRONG" : "");
     const double ratio[4] = {
         ratio_of(box.near_field, best.near_field, floor.near_field), ratio_of(box.far_field, best.far_field, floor.far_field),
         ratio_of(box.pictures, best.pictures, floor.pictures), ratio_of(box.radiance, best.radiance, floor.radiance)};

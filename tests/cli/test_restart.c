@@ -164,15 +164,20 @@ static void test_shares(void **state)
 static void test_merged_without_trees(void **state)
 {
     (void)state;
-    static const char *const TREES[2] = {"0", "2"};
+    static const char *const ASKED[3][2] = {{"--trees", "0"}, {"--trees", "2"}, {"--looks", "1000"}};
     const name box = path_of("grown.box.exr"), part = path_of("grown.box.exr.part"), merged = path_of("merged.box.exr");
-    for (int i = 0; i < 2; ++i) {
-        bake((const char *const[]){"bake", spot, "-o", box.text, "--photons", "20000", "--cells", "1e4", "--trees", TREES[i], "--keep",
+    for (int i = 0; i < 3; ++i) {
+        bake((const char *const[]){"bake", spot, "-o", box.text, "--photons", "20000", "--cells", "1e4", ASKED[i][0], ASKED[i][1], "--keep",
                                    "-q", NULL});
         outcome o = RUN("merge", part.text, "-o", merged.text);
         assert_int_equal(o.code, 0);
         assert_non_null(strstr(o.out, "trees     none"));
-        assert_true((strstr(o.err, "warning") != NULL) == (i == 1));
+        assert_true((strstr(o.err, "warning: no radiance trees") != NULL) == (i > 0));
+        release(&o);
+        o = RUN("info", merged.text, "--json");
+        json_t *j = json_loads(o.out, 0, NULL);
+        assert_true(json_is_null(json_object_get(j, "trees")));
+        json_decref(j);
         release(&o);
     }
 }
@@ -634,11 +639,11 @@ int main(int argc, char **argv)
     }
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_seven_uneven_parts),      cmocka_unit_test(test_shares),
-        cmocka_unit_test(test_merged_without_trees),
         cmocka_unit_test(test_strangers_are_refused),   cmocka_unit_test(test_damaged_parts),
         cmocka_unit_test(test_more_time), cmocka_unit_test(test_interrupted_and_resumed), cmocka_unit_test(test_killed_and_resumed),
         cmocka_unit_test(test_more_photons),            cmocka_unit_test(test_trees),
         cmocka_unit_test(test_looks),                   cmocka_unit_test(test_mpi),
+        cmocka_unit_test(test_merged_without_trees),
     };
     return cmocka_run_group_tests_name("restart", tests, setup, NULL);
 }
