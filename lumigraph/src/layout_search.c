@@ -18,9 +18,8 @@ static const double OUTERMOST = 16, UNDISCOVERED = 0.05;
 /* A candidate has to be this much better than what stands, and by more than chance: dozens are tried, and the luckiest of equals
  * mustn't win. */
 static const double GAIN = 0.97;
-/* A window has to promise less than this part of the error without it; what its cells can still gain by being shared out is tried where it
- * promises less than WINDOW_TRIED. */
-static const double WINDOW_WORTH = 0.8, WINDOW_TRIED = 1.2;
+/* A window has to promise less than this part of the error without it. */
+static const double WINDOW_WORTH = 0.8;
 /* So much more concentrated has a focus to be than the light of the whole opening: (share of flux)^2 over area. */
 static const double FOCUS_WORTH = 4;
 /* Fewer cells for one direction aren't tried. */
@@ -396,15 +395,13 @@ static lmg_verdict fewer_cells(const lmg_pilot *pl, lmg_judge *judge, lmg_choice
     return best;
 }
 
-/* Window or none: of those that nested() finds the best with cells shared out evenly, and, if there may be fewer, with a few numbers of
- * them: a narrow window is worth it with fewer cells than a wide one.  Before that one is compared with none its cells are shared out,
- * once, as those without it have been until nothing changed. */
-static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, lmg_verdict without)
+/* Window or none: each that nested() finds, with cells shared out evenly, and, if there may be fewer, with a few numbers of them: a
+ * narrow window is worth it with fewer cells than a wide one. */
+static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choice *c, lmg_verdict best)
 {
-    double rects[MAX_NESTED][4];
+    double rects[MAX_NESTED][4], gain = WINDOW_WORTH;
     const int n = nested(pl, c, rects);
     lmg_choice kept = *c;
-    lmg_verdict best = {.error = WINDOW_TRIED * without.error};
     for (int k = 0; k < n; k++)
         for (int fewer = 0; fewer < (c->fewer ? 3 : 1); fewer++) {
             lmg_choice t = *c;
@@ -413,18 +410,13 @@ static lmg_verdict search_window(const lmg_pilot *pl, lmg_judge *judge, lmg_choi
             t.cells = fmin(c->cells, fmax(c->cells * pow(5, -fewer), FEWEST));
             t.window_bias = fmax(c->bias, 0.25);
             memcpy(t.st, rects[k], sizeof t.st);
-            const double gain = kept.window ? GAIN : 1;
-            const lmg_verdict e = judge_choice(pl, judge, &t, false, gain * best.error);
-            if (!lmg_better(e, best, gain, kept.window ? LMG_LIKELY : 0))
+            lmg_verdict e = judge_choice(pl, judge, &t, false, gain * best.error);
+            if (!lmg_better(e, best, gain, kept.window ? LMG_LIKELY : LMG_CERTAIN))
                 continue;
+            gain = GAIN; /* any window is that much worth; a better one less */
             best = e;
             kept = t;
         }
-    if (!kept.window)
-        return without;
-    best = fewer_cells(pl, judge, &kept, share_cells(pl, judge, &kept, best));
-    if (!lmg_better(best, without, WINDOW_WORTH, LMG_CERTAIN))
-        return without;
     *c = kept;
     return best;
 }
@@ -479,14 +471,11 @@ lmg_verdict lmg_choice_search(lmg_pilot *pl, lmg_judge *judge, lmg_choice *c)
         best = search_window(pl, judge, c, best);
     if (c->window) {
         /* the window has changed what counts: look at the depth once more */
-        const double before = c->depth;
         pl->photons = 0;
         search_depth(pl, judge, c, centre - depth, centre + depth, 12);
         pl->photons = photons;
-        if (c->depth != before) {
-            best = share_cells(pl, judge, c, judge_choice(pl, judge, c, false, INFINITY));
-            best = fewer_cells(pl, judge, c, best);
-        }
+        best = share_cells(pl, judge, c, judge_choice(pl, judge, c, false, INFINITY));
+        best = fewer_cells(pl, judge, c, best);
     }
     return best;
 }

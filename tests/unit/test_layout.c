@@ -15,7 +15,6 @@
 #include "layout_search.h"
 
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -255,28 +254,6 @@ static void a_source_in_the_open_is_found(void **state)
     }
 }
 
-/* A window over a beam is weighed against none when its cells, too, are shared out as they do best: a spot's radiance in cells for 1 M
- * photons is off by 50 % then; by 59 where windows are weighed with cells shared out evenly. */
-static void windows_are_weighed_at_their_best(void **state)
-{
-    (void)state;
-    enum { PILOT = 100000 };
-    lmg_fit_options o = {.struct_size = sizeof o, .cells = 6400000, .fewer_cells = true, .photons = 1e6};
-    lmg_layout l;
-    char why[1024];
-    double near_field, far_field, radiance;
-    lamp_bounds(LAMP_SPOT, &o.bounds_min, &o.bounds_max);
-    lmg_ray *rays = lamp_rays(LAMP_SPOT, 987654321, 0, PILOT);
-    assert_int_equal(lmg_layout_fit(rays, PILOT, &o, &l, why, NULL), LMG_OK);
-    const char *foretold = strstr(why, "foretold errors");
-    assert_non_null(foretold);
-    assert_int_equal(sscanf(foretold, "foretold errors: illumination %lf %%, far field %lf %%, radiance %lf %%", &near_field, &far_field,
-                            &radiance),
-                     3);
-    assert_true(radiance > 30 && radiance < 55);
-    free(rays);
-}
-
 static double cells_of(const lmg_layout *l)
 {
     double sum = 0;
@@ -312,7 +289,6 @@ int main(void)
         cmocka_unit_test(hopeless_candidates_are_given_up),
         cmocka_unit_test(columns_move_rays_as_single_ones),
         cmocka_unit_test(a_source_in_the_open_is_found),
-        cmocka_unit_test(windows_are_weighed_at_their_best),
         cmocka_unit_test(cells_go_with_photons),
     };
     return cmocka_run_group_tests_name("layout", tests, NULL, NULL);
