@@ -55,7 +55,9 @@ LMG_WIDE static void ring_pixels(size_t count, const lmg_ray_columns *restrict r
         const double cosine = r->direction[2][i], s = square_s[i], t = square_t[i];
         const bool horizontal = fabs(s) >= fabs(t), forward = cosine > 0;
         const double side = horizontal ? s : t, along = horizontal ? t : -s;
-        const double eighths = (horizontal ? 0 : 2) + (side > 0 ? 0 : 4) + along / (side != 0 ? side : 1); /* of the circle */
+        /* never by 0, nor by way of it: of x / (c ? y : 1) compilers make c ? x / y : x, and columns of that divide by all y */
+        const double width = fabs(side) > 0x1p-1000 ? fabs(side) : 0x1p-1000;
+        const double eighths = (horizontal ? 0 : 2) + (side > 0 ? 0 : 4) + (side > 0 ? along : -along) / width; /* of the circle */
         const double round = (eighths < 0 ? eighths + 8 : eighths) * (LMG_JUDGE_SECTORS / 8.0);
         const int32_t at = index_of((1 - cosine) * LMG_JUDGE_RINGS, LMG_JUDGE_RINGS - 1) * LMG_JUDGE_SECTORS +
                            index_of(round, LMG_JUDGE_SECTORS - 1);
