@@ -135,13 +135,6 @@ static bool box_radiance(const view_box *box, const lmg_point_sample *sample, fl
     return true;
 }
 
-/*
- * How far short of a light a shadow ray ends, relative to the coordinates involved: the shadow ray and the light's own triangle are
- * each rounded to float, and Embree's distance is good to a few dozen roundings of such numbers; 64 roundings (2^-24 each) cover
- * both. What hides a light within that distance of it, micrometres in a room, isn't seen.
- */
-static const double SHADOW_ROUNDING = 0x1p-18;
-
 /* Whether nothing stands between a point and a light sampled from it.  The ray starts off the surface and still ends at the light.
  */
 static bool light_arrives(const view_scene *scene, const view_vertex *x, const lum_light_sample *sample, lum_rng *rng)
@@ -150,12 +143,11 @@ static bool light_arrives(const view_scene *scene, const view_vertex *x, const l
     double distance = sample->distance;
     if (distance < (double)INFINITY) {
         lmg_vec3 way = view_sub(view_add(x->hit.position, view_scale(direction, distance)), start);
-        double length = view_length(way);
-        distance = length - SHADOW_ROUNDING * (fabs(start.x) + fabs(start.y) + fabs(start.z) + length);
+        distance = view_length(way);
         if (!(distance > 0)) {
             return true;
         }
-        direction = view_scale(way, 1 / length);
+        direction = view_scale(way, 1 / distance);
     }
     return !view_scene_occluded(scene, start, direction, distance, next_number, rng);
 }

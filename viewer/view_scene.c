@@ -502,6 +502,13 @@ static bool occluded_by(const view_object *object, lmg_vec3 o, lmg_vec3 d, doubl
     return true;
 }
 
+/*
+ * How far short of a light a shadow ray ends, relative to the coordinates involved, those of the object's own frame: the shadow ray and
+ * the light's own triangle are each rounded to float, and Embree's distance is good to a few dozen roundings of such numbers; 64
+ * roundings (2^-24 each) cover both.
+ */
+static const double SHADOW_ROUNDING = 0x1p-18;
+
 bool view_scene_occluded(const view_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance, double (*next)(void *state),
                          void *state)
 {
@@ -512,10 +519,12 @@ bool view_scene_occluded(const view_scene *scene, lmg_vec3 origin, lmg_vec3 dire
         }
         lmg_vec3 o = view_point_in(&object->motion, origin);
         lmg_vec3 d = view_direction_in(&object->motion, direction);
-        if (i > 0 && !meets_bounds(object->model, o, d, distance)) {
+        const double reach =
+            isfinite(distance) ? distance - SHADOW_ROUNDING * (fabs(o.x) + fabs(o.y) + fabs(o.z) + distance) : distance;
+        if (!(reach > 0) || (i > 0 && !meets_bounds(object->model, o, d, reach))) {
             continue;
         }
-        if (occluded_by(object, o, d, distance, next, state)) {
+        if (occluded_by(object, o, d, reach, next, state)) {
             return true;
         }
     }

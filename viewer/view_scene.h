@@ -112,8 +112,9 @@ lmg_result view_scene_finish(view_scene *scene, lmg_error *err);
 /* Closest hit along origin + t direction (unit), t > 0. */
 bool view_scene_intersect(const view_scene *scene, lmg_vec3 origin, lmg_vec3 direction, view_hit *hit);
 
-/* Whether something stands on origin + t direction, 0 < t < distance.  next(state) decides by chance at surfaces that cover in
- * part. */
+/* Whether something stands between origin and a light that is so far away (INFINITY: anywhere) in that direction.  What stands within
+ * some roundings of the light, micrometres in a room, is taken for it.  next(state) decides by chance at surfaces that cover in part.
+ */
 bool view_scene_occluded(const view_scene *scene, lmg_vec3 origin, lmg_vec3 direction, double distance, double (*next)(void *state),
                          void *state);
 

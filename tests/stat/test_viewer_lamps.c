@@ -10,6 +10,7 @@
  */
 #include "bake.h"
 #include "convert.h"
+#include "gltf_writer.h"
 #include "meter.h"
 #include "receiver.h"
 #include "room_fixture.h"
@@ -23,6 +24,7 @@
 #include <cmocka.h>
 
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -238,9 +240,60 @@ static void filled_with_phosphor_is_refused(void **state)
     lum_recipe_destroy(recipe);
 }
 
+/* A wall of half a metre, a millimetre in front of a light of a tenth, hides it from a meter a metre away, wherever the lamp is: at the
+ * room's origin and a kilometre off, where a few millionths of the world's coordinates are millimetres. */
+static void walls_hide_lights_far_from_the_room(void **state)
+{
+    (void)state;
+    float corners[2][6][3];
+    for (int q = 0; q < 2; q++) {
+        static const float SIGN[6][2] = {{-1, -1}, {1, -1}, {1, 1}, {-1, -1}, {1, 1}, {-1, 1}};
+        for (int k = 0; k < 6; k++) {
+            const float half = q == 0 ? 0.05F : 0.25F;
+            corners[q][k][0] = half * SIGN[k][0];
+            corners[q][k][1] = q == 0 ? 0 : -0.001F;
+            corners[q][k][2] = half * SIGN[k][1];
+        }
+    }
+    gltf_folder("viewer_lamps");
+    char *data = gltf_data_uri(corners, sizeof corners);
+    char *json = gltf_text(
+        "{\"asset\":{\"version\":\"2.0\"},\"extensionsUsed\":[\"KHR_materials_emissive_strength\"],\"scene\":0,"
+        "\"scenes\":[{\"nodes\":[0,1]}],\"nodes\":[{\"mesh\":0},{\"mesh\":1}],"
+        "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0},\"material\":0}]},"
+        "{\"primitives\":[{\"attributes\":{\"POSITION\":1},\"material\":1}]}],"
+        "\"materials\":[{\"pbrMetallicRoughness\":{\"baseColorFactor\":[0,0,0,1],\"metallicFactor\":1},\"emissiveFactor\":[1,1,1],"
+        "\"extensions\":{\"KHR_materials_emissive_strength\":{\"emissiveStrength\":1000}}},"
+        "{\"pbrMetallicRoughness\":{\"baseColorFactor\":[0,0,0,1],\"metallicFactor\":1},\"doubleSided\":true}],"
+        "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":6,\"type\":\"VEC3\",\"min\":[-0.05,0,-0.05],"
+        "\"max\":[0.05,0,0.05]},{\"bufferView\":1,\"componentType\":5126,\"count\":6,\"type\":\"VEC3\","
+        "\"min\":[-0.25,-0.001,-0.25],\"max\":[0.25,-0.001,0.25]}],"
+        "\"bufferViews\":[{\"buffer\":0,\"byteLength\":72},{\"buffer\":0,\"byteOffset\":72,\"byteLength\":72}],"
+        "\"buffers\":[{\"byteLength\":144,\"uri\":\"%s\"}]}",
+        data);
+    gltf_write("hidden.gltf", json, strlen(json));
+    free(json);
+    free(data);
+    for (int far = 0; far < 2; far++) {
+        const double height = far ? 1000 : 0, lambertian = 3141.6; /* lx, before an endless light of 1000 cd/m2 */
+        lmg_error err = {""};
+        view_scene *scene = nothing();
+        demand(view_scene_add_lamp(scene, gltf_path("hidden.gltf"), NULL, &(view_placement){.position = {0, height, 0}}, 0, &err), &err);
+        demand(view_scene_finish(scene, &err), &err);
+        const plane below = {{-0.01, height - 1, -0.01}, {0, 0, 0.02}, {0.02, 0, 0}},
+                    between = {{-0.01, height - 0.0005, -0.01}, {0, 0, 0.02}, {0.02, 0, 0}};
+        const double hidden = measure_plane(scene, &below, 2000, 3).rgb[3], seen = measure_plane(scene, &between, 2000, 3).rgb[3];
+        print_message("behind a wall, %g m up: %g lx; before it %g\n", height, hidden, seen);
+        assert_true(seen > 0.9 * lambertian && seen < 1.01 * lambertian);
+        assert_true(hidden == 0);
+        view_scene_destroy(scene);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(walls_hide_lights_far_from_the_room),
         cmocka_unit_test(opal_glass),
         cmocka_unit_test(smoke),
         cmocka_unit_test(phosphor),
