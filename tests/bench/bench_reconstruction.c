@@ -16,7 +16,7 @@
  * infinitely many photons would (half against half, in common random numbers); their noise is that of a Poisson count, spread as
  * the cells spread it: the chance that a photon moved twice meets the same pixel both times.  Pictures and the square of the lamp's
  * radiance are those of paths followed backwards (viewer), the cross term with the box is the box's mean radiance along the lamp's
- * photons.  What of squares is below its standard error isn't told from nothing: two such errors count as alike.
+ * photons.  Whether the paths find the light that the photons bring is printed with it.  What of squares is below its standard error isn't told from nothing: two such errors count as alike.
  *
  * Usage: test_bench_reconstruction [LAMP|all [photons [cells, 0 = as many as the photons are worth [judging photons [sizes of
  * tables [rays [trees [looks]]]]]]]]; a line of JSON for each lamp.  rays: traced backwards for each photon that leaves, beside the box's photons (0; -1: as
@@ -44,9 +44,7 @@ static const double DISTANCE[PLANES] = {0.5, 1, 2, 5, 10, 20};
 static const double TILT[VIEWS] = {0, 3, 6, 15, 30, 45, 60, 75};
 enum { ROUND = 1000000 };
 static const uint64_t SEED = 11;
-/* Metres from the room to the lamp above it: far enough for the room to be dark, and near enough for the viewer's shadow rays, which
- * end short of a light by some millionths of the coordinates.  At 1000 m that was 4 mm: the opal globe's bulb shone through its
- * socket, and the square of its radiance came out 1.2 % too large, which looks like 11 % of error. */
+/* Metres from the room to the lamp above it: far enough for the room to be dark. */
 static const double HEIGHT = 30;
 
 static void demand(lmg_result r, const lmg_error *err)
@@ -446,9 +444,9 @@ static void judge_pictures(trial *t, errors *box, errors *floor, double lumens_p
 }
 
 /* Square of the trees' radiance, lm cd/m2: their mean radiance along rays that are distributed as their light, times that light.
- * *seen: light by paths backwards along these rays, over that of the trees, which is that of their photons: 1 if the judge is right, but for
- * what falls where trees are dark, and the noise of those photons. */
-static double trees_self(const trial *t, uint64_t count, double *se, double *seen, double *seen_se)
+ * *found_part: light by paths backwards along these rays, over that of the trees, which is that of their photons: 1 if the judge is
+ * right, but for what falls where trees are dark, and the noise of those photons. */
+static double trees_self(const trial *t, uint64_t count, double *se, double *found_part, double *found_se)
 {
     const lmg_field *field = t->field;
     const lmg_trees *trees = field->trees;
@@ -522,8 +520,8 @@ static double trees_self(const trial *t, uint64_t count, double *se, double *see
             free(etendue);
         }
     *se = sqrt(squares);
-    *seen = found / flux;
-    *seen_se = sqrt(found_squares) / flux;
+    *found_part = flux > 0 ? found / flux : 1;
+    *found_se = flux > 0 ? sqrt(found_squares) / flux : 0;
     return self;
 }
 
@@ -735,7 +733,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     print_errors("best of each measure", &best);
     print_errors("box", &box);
     print_errors("judge's resolution", &floor);
-    if (l.scene && t.field->trees)
+    if (seen && t.field->trees)
         printf("light by paths backwards over that of the trees: %.4f +- %.4f%s\n", light, light_se,
                fabs(light - 1) > 4 * light_se + 0.003 ? ": THE JUDGE IS WRONG" : "");
     const double ratio[4] = {
@@ -750,6 +748,8 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
            "\"far_field\": %.5g, "
            "\"planes_ratio\": %.4g, \"far_field_ratio\": %.4g",
            name, (double)photons, (double)all, root(box.near_field), root(box.far_field), ratio[0], ratio[1]);
+    if (seen)
+        printf(", \"light_ratio\": %.5g, \"light_ratio_se\": %.3g", light, light_se);
     if (seen)
         printf(", \"pictures\": %.5g, \"radiance\": %.5g, \"pictures_ratio\": %.4g, \"radiance_ratio\": %.4g", root(box.pictures),
                root(box.radiance), ratio[2], ratio[3]);
