@@ -7,6 +7,8 @@
 
 /* Ends the program with the message unless r is LMG_OK. */
 void bench_demand(lmg_result r, const lmg_error *err);
+/* The recipe of a sample lamp, NULL if it has none; the caller destroys it. */
+lum_recipe *bench_recipe(const char *name);
 /* A sample lamp with its recipe, if it has one; the caller destroys it. */
 lum_model *bench_load(const char *name);
 

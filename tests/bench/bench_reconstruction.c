@@ -23,12 +23,12 @@
  * the pilot says).  trees: radiance trees of the box (0), which radiance and pictures are then those of.  looks: for
  * these (as the bake decides).
  */
-#include "bake.h"
+#include "bench_lamp.h"
+#include "bench_seen.h"
 #include "sampler.h"
 #include "geometry.h"
 #include "receiver.h"
 #include "trees.h"
-#include "view_path.h"
 
 #include <luminaires/model.h>
 
@@ -42,18 +42,7 @@ enum { FAR = PLANES, RECEIVERS, BINS = RINGS * SECTORS }; /* bins: of the larges
 static const double DISTANCE[PLANES] = {0.5, 1, 2, 5, 10, 20};
 /* Directions of the pictures, degrees from the main axis: where a beam is, at its border, and where there is stray light only. */
 static const double TILT[VIEWS] = {0, 3, 6, 15, 30, 45, 60, 75};
-enum { ROUND = 1000000 };
 static const uint64_t SEED = 11;
-/* Metres from the room to the lamp above it: far enough for the room to be dark. */
-static const double HEIGHT = 30;
-
-static void demand(lmg_result r, const lmg_error *err)
-{
-    if (r != LMG_OK) {
-        fprintf(stderr, "error: %s\n", err->message);
-        exit(1);
-    }
-}
 
 static void *reserve(size_t count, size_t size)
 {
@@ -239,100 +228,18 @@ static void table_spread(table *t, const instrument *in, const lmg_ray *ray, con
     }
 }
 
-/* -------------------------------------------------------------------------------------------------------- a lamp's light */
-
-typedef struct lamp {
-    const char *name;
-    lum_model *model;
-    bake_source *source;
-    view_scene *scene; /* the lamp far above a room; NULL: the viewer can't show it */
-    lmg_vec3 shift;    /* from the luminaire's frame to the scene's world */
-    double *weights;
-} lamp;
-
-/* Luminance that leaves the lamp along a ray: one backward path.  0 where the viewer can't show the lamp. */
-static double look(const lamp *l, lmg_vec3 from, lmg_vec3 travel, lum_rng *rng)
-{
-    const view_path_options options = {.max_depth = UINT32_MAX, .connect = -1};
-    view_worker worker = {.weights = l->weights};
-    double rgb[3];
-    if (!l->scene)
-        return 0;
-    view_path_radiance(l->scene, &options, v_add(from, l->shift), v_scale(-1, travel), rng, &worker, rgb);
-    return 0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2];
-}
-
-static void lamp_open(lamp *l, const char *name)
-{
-    char path[1024], recipe_path[1024];
-    lmg_error err;
-    lum_recipe *recipe = NULL;
-    snprintf(path, sizeof path, LUMIBOX_BINARY_DIR "/models/%s/%s.gltf", name, name);
-    snprintf(recipe_path, sizeof recipe_path, LUMIBOX_BINARY_DIR "/models/%s/%s.recipe.json", name, name);
-    FILE *there = fopen(recipe_path, "r");
-    if (there) {
-        fclose(there);
-        demand(lum_recipe_read(recipe_path, &recipe, &err), &err);
-    }
-    *l = (lamp){.name = name};
-    demand(lum_model_load(path, recipe, &l->model, &err), &err);
-    demand(bake_tracer_create(l->model, SEED + 1, &l->source, &err), &err);
-    const view_placement place = {.position = {0, HEIGHT, 0}};
-    demand(view_scene_create(LUMIBOX_BINARY_DIR "/models/room/room.gltf", NULL, &l->scene, &err), &err);
-    if (view_scene_add_lamp(l->scene, path, recipe, &place, 0, &err) == LMG_OK) {
-        demand(view_scene_finish(l->scene, &err), &err);
-        l->shift = v_sub((lmg_vec3){0, HEIGHT, 0}, l->scene->origin);
-        l->weights = reserve(2 * l->scene->light_count, sizeof *l->weights);
-    } else {
-        printf("%s: no pictures nor radiance: %s\n", name, err.message);
-        view_scene_destroy(l->scene);
-        l->scene = NULL;
-    }
-    lum_recipe_destroy(recipe);
-}
-
-static void lamp_close(lamp *l)
-{
-    free(l->weights);
-    if (l->scene)
-        view_scene_destroy(l->scene);
-    l->source->destroy(l->source);
-    lum_model_destroy(l->model);
-}
-
-/* Photons of the lamp, a round after the other. */
-static void for_photons(lamp *l, uint64_t first, uint64_t count, void (*use)(void *self, const lmg_ray *rays, size_t n), void *self)
-{
-    lmg_error err;
-    for (uint64_t done = 0; done < count;) {
-        uint64_t n = count - done < ROUND ? count - done : ROUND;
-        bake_ray_list *list;
-        bake_tally tally = {0};
-        demand(bake_ray_list_create((size_t)n, &list, &err), &err);
-        const lmg_sink sink = bake_ray_list_sink(list);
-        demand(l->source->run(l->source, first + done, n, 0, &sink, 1, &tally, &err), &err);
-        size_t rays;
-        const lmg_ray *at = bake_ray_list_sorted(list, &rays);
-        use(self, at, rays);
-        bake_ray_list_destroy(list);
-        done += n;
-    }
-}
-
 /* --------------------------------------------------------------------------------------------------------------- a trial */
 
 typedef struct trial {
-    lamp *lamp;
+    bench_seen *lamp;
     lmg_field *field;
     instrument in;
     images *reference;
     uint32_t table_count;
     table *tables[MAX_TABLES];
-    double judged;        /* photons emitted for judging */
     double cross, square; /* sums over judging photons: the box's radiance along them; a backward path along each */
     double table_cross[MAX_TABLES];
     double missing, missing_squares; /* sums of what a photon adds to the squared error of radiance, and of its square */
-    uint64_t seen;
 } trial;
 
 static void fill_tables(void *self, const lmg_ray *rays, size_t n)
@@ -371,12 +278,11 @@ static void judge_by(void *self, const lmg_ray *rays, size_t n)
         lmg_vec3 beyond = v_fma(ray->origin, 4 * t->in.radius, ray->direction);
         float rgb[3];
         lmg_field_radiance(t->field, beyond, ray->direction, in_trees(t->field, ray->origin, ray->direction) ? LMG_LINEAR : LMG_NEAREST, rgb, NULL);
-        const double there = look(t->lamp, beyond, ray->direction, &rng), missing = y * (there - 2 * lmg_luminance(rgb));
+        const double there = bench_seen_look(t->lamp, beyond, ray->direction, &rng), missing = y * (there - 2 * lmg_luminance(rgb));
         t->cross += y * lmg_luminance(rgb);
         t->square += y * there;
         t->missing += missing;
         t->missing_squares += missing * missing;
-        t->seen++;
         for (uint32_t k = 0; k < t->table_count; k++) {
             table_spread(t->tables[k], &t->in, ray, before, &rng);
             uint32_t i[4];
@@ -418,7 +324,7 @@ static void judge_pictures(trial *t, errors *box, errors *floor, double lumens_p
                     lum_rng rng = lum_rng_stream(SEED + 4 + (uint64_t)half,
                                                  ((uint64_t)view * PICTURE * PICTURE + pixel) * SUBPIXELS + (uint64_t)n);
                     float rgb[3];
-                    truth[half] += look(t->lamp, s.from, s.travel, &rng) / SUBPIXELS;
+                    truth[half] += bench_seen_look(t->lamp, s.from, s.travel, &rng) / SUBPIXELS;
                     lmg_field_radiance(t->field, s.from, s.travel, LMG_LINEAR, rgb, NULL);
                     ours[half] += lmg_luminance(rgb) / SUBPIXELS;
                     for (uint32_t k = 0; k < t->table_count; k++) {
@@ -503,7 +409,7 @@ static double trees_self(const trial *t, uint64_t count, double *se, double *fou
                 lmg_field_radiance(field, v_fma(o, far, d), d, LMG_LINEAR, rgb, NULL);
                 /* numbers of its own, so that rays are the same whatever the viewer does; 0: rounding put the ray beside all slabs */
                 lum_rng of_look = lum_rng_stream(SEED + 8, ((uint64_t)r * trees->tree_count + k) * samples + n);
-                const double y = lmg_luminance(rgb), met = y > 0 ? look(t->lamp, v_fma(o, far, d), d, &of_look) / y : 0;
+                const double y = lmg_luminance(rgb), met = y > 0 ? bench_seen_look(t->lamp, v_fma(o, far, d), d, &of_look) / y : 0;
                 mean += y;
                 square += y * y;
                 part += met;
@@ -596,8 +502,8 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
 {
     static const double SPLIT[] = {1.0 / 16, 1.0 / 4, 1, 4, 16, 64}, SIZE[] = {1.0 / 16, 1.0 / 4, 1, 4};
     lmg_error err;
-    lamp l;
-    lamp_open(&l, name);
+    bench_seen l;
+    bench_seen_open(&l, name, SEED + 1);
     bake_options options = {.photons = photons,
                             .rays_per_photon = backward,
                             .trees = trees,
@@ -607,7 +513,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
                             .fit = {.struct_size = sizeof options.fit, .cells = cells}};
     bake_report report;
     trial t = {.lamp = &l};
-    demand(bake_run(l.model, &options, &t.field, &report, &err), &err);
+    bench_demand(bake_run(l.model, &options, &t.field, &report, &err), &err);
     printf("%s%s%.3g M rays backwards in %.1f s beside %.3g M photons in %.1f s\n", report.gather_why, report.gather_why[0] ? "\n" : "",
            1e-6 * (double)report.gathered_rays, report.gather_seconds, 1e-6 * (double)photons, report.trace_seconds);
     const lmg_layout *layout = lmg_field_layout(t.field);
@@ -627,9 +533,9 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     bake_ray_list *list;
     size_t pilot;
     bake_tally tally = {0};
-    demand(bake_ray_list_create(50000, &list, &err), &err);
+    bench_demand(bake_ray_list_create(50000, &list, &err), &err);
     const lmg_sink sink = bake_ray_list_sink(list);
-    demand(l.source->run(l.source, BAKE_PILOT_FIRST, 50000, 0, &sink, 1, &tally, &err), &err);
+    bench_demand(l.source->run(l.source, BAKE_PILOT_FIRST, 50000, 0, &sink, 1, &tally, &err), &err);
     const lmg_ray *rays = bake_ray_list_sorted(list, &pilot);
     t.in.axis = bake_main_axis(rays, pilot);
     bake_ray_list_destroy(list);
@@ -649,7 +555,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
             t.tables[t.table_count++] = made;
         }
     /* the tables' photons are others than the box's, and others than the judge's */
-    for_photons(&l, 0, photons, fill_tables, &t);
+    bench_seen_photons(&l, 0, photons, fill_tables, &t);
     uint32_t kept = 0;
     for (uint32_t k = 0; k < t.table_count; k++) {
         table *u = t.tables[k];
@@ -670,7 +576,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     t.table_count = kept;
 
     t.reference = reserve(1, sizeof *t.reference);
-    for_photons(&l, UINT64_C(1) << 40, judging, judge_by, &t);
+    bench_seen_photons(&l, UINT64_C(1) << 40, judging, judge_by, &t);
     images *emitted = reserve(1, sizeof *emitted);
     double self_se;
     const double self = emit(&t, judging, emitted, &self_se);
@@ -684,7 +590,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
                  bl = per_judge * t.cross, ll = per_judge * t.square;
     box.radiance = (bb - 2 * bl + ll) / ll;
     floor.radiance =
-        hypot(hypot(ledger.stored * self_se, trees_se), per_judge * sqrt(fmax(t.missing_squares - t.missing * t.missing / (double)t.seen, 0))) / ll;
+        hypot(hypot(ledger.stored * self_se, trees_se), per_judge * sqrt(fmax(t.missing_squares - t.missing * t.missing / (double)judging, 0))) / ll;
     /* Cauchy and Schwarz: no light has less, but for noise; a lamp whose light paths don't find (fluorescence, say) has */
     const bool seen = ll > 0.9 * bl * bl / bb;
     if (seen)
@@ -760,7 +666,7 @@ static void run_lamp(const char *name, uint64_t photons, uint64_t cells, uint64_
     free(t.reference);
     free(emitted);
     lmg_field_destroy(t.field);
-    lamp_close(&l);
+    bench_seen_close(&l);
 }
 
 int main(int argc, char **argv)
