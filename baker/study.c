@@ -170,20 +170,20 @@ static lmg_result measure_deposits(ladder *l, uint64_t photons, lmg_error *err)
 
 static study_fit fit_ladder(const study *s, judge_measure m)
 {
-    double photons[STUDY_MAX_RUNGS], seconds[STUDY_MAX_RUNGS], error[STUDY_MAX_RUNGS], relative[STUDY_MAX_RUNGS];
+    double photons[STUDY_MAX_RUNGS], seconds[STUDY_MAX_RUNGS], square[STUDY_MAX_RUNGS], se[STUDY_MAX_RUNGS];
     size_t count = 0;
     for (size_t i = 0; i < s->rung_count; ++i) {
         const study_rung *r = &s->rungs[i];
         const judge_error e = r->verdict.error[m];
-        if (r->ladder != STUDY_PHOTONS || !(e.rms > 0)) /* no less than nothing: all noise of judging */
+        if (r->ladder != STUDY_PHOTONS)
             continue;
         photons[count] = (double)r->photons;
         seconds[count] = r->processor_seconds;
-        relative[count] = hypot(e.standard_error / e.rms, LUCK);
-        error[count++] = e.rms;
+        square[count] = e.rms * fabs(e.rms);
+        se[count++] = 2 * fabs(e.rms) * e.standard_error;
     }
-    return (study_fit){.over_photons = report_slope_fit(photons, error, relative, count),
-                       .over_seconds = report_slope_fit(seconds, error, relative, count)};
+    return (study_fit){.over_photons = report_squares_fit(photons, square, se, LUCK, count),
+                       .over_seconds = report_squares_fit(seconds, square, se, LUCK, count)};
 }
 
 /* By the ladder of photons: what a plain bake of so many photons is off by, how long it takes and how large it is. */
@@ -202,11 +202,14 @@ static void give_advice(study *s)
         photons[count] = (double)r->photons;
         bytes[count++] = (double)r->bytes;
     }
-    const report_slope size = report_slope_fit(photons, bytes, NULL, count);
+    const report_slope size = report_slope_fit(photons, bytes, count);
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         study_advice *a = &s->advice[t];
         *a = (study_advice){.target = TARGETS[t]};
-        const double n = error.slope < 0 ? fmax(report_slope_x(error, TARGETS[t]), (double)least->photons) : (double)NAN;
+        /* the least of the ladder is enough, or by the line, if it falls */
+        const double n = report_slope_y(error, (double)least->photons) <= TARGETS[t] ? (double)least->photons
+                         : error.slope < 0                                           ? report_slope_x(error, TARGETS[t])
+                                                                                     : (double)NAN;
         if (!(n <= FORETOLD * (double)most->photons))
             continue;
         a->reachable = true;

@@ -7,16 +7,24 @@
 
 typedef struct report_slope {
     double slope;
-    double standard_error; /* from the residuals */
-    double confidence;     /* the slope is within slope +- confidence at 95 % (Student's t), if the points scatter about a line by
-                              chance alone */
-    double x, y;           /* a point of the line: weighted geometric means */
-    size_t points;         /* that the line goes through */
+    double standard_error;
+    double confidence; /* the slope is within slope +- confidence at 95 % (Student's t), if the points scatter about a line by
+                          chance alone */
+    double x, y;       /* the point of the line whose y doesn't hang on the slope */
+    size_t points;     /* that the line goes through */
 } report_slope;
 
-/* Least squares of log y over log x; relative_error: of each y, > 0, points weigh by 1 / its square; NULL = all alike.  Points count
- * whose x and y are finite and positive; fewer than three of them, or all at one x, make everything but points NAN. */
-report_slope report_slope_fit(const double *x, const double *y, const double *relative_error, size_t count);
+/* Least squares of log y over log x; the standard error is from the residuals.  Points count whose x and y are finite and positive;
+ * fewer than three of them, or all at one x, make everything but points NAN. */
+report_slope report_slope_fit(const double *x, const double *y, size_t count);
+
+/* The same of squares y^2 that are known with an error and may so be negative, as a square less its noise is: least squares of the
+ * squares themselves, so that small ones count whatever their sign.  (A line through the logarithms of those that are positive
+ * would be through the luckless: too flat.)  Points weigh by their standard error and the power law's own part luck in y, which
+ * points that are without noise scatter by; the fit's standard error is by these, or by the residuals if they are larger.  Points
+ * count whose x is positive, and whose standard error or luck is; fewer than three, all at one x, or squares that are nothing on
+ * the whole, make everything but points NAN. */
+report_slope report_squares_fit(const double *x, const double *square, const double *standard_error, double luck, size_t count);
 
 /* y of the line at x, and x of the line at y. */
 double report_slope_y(report_slope f, double x);

@@ -322,9 +322,9 @@ static void finish_study(const ladder *l)
             error[k] = r->rungs[k].error.rms;
             medians[k] = r->rungs[k].median;
         }
-        r->over_seconds = report_slope_fit(seconds, error, NULL, r->rung_count);
-        r->over_samples = report_slope_fit(samples, error, NULL, r->rung_count);
-        r->median_over_seconds = report_slope_fit(seconds, medians, NULL, r->rung_count);
+        r->over_seconds = report_slope_fit(seconds, error, r->rung_count);
+        r->over_samples = report_slope_fit(samples, error, r->rung_count);
+        r->median_over_seconds = report_slope_fit(seconds, medians, r->rung_count);
         r->cost = cost_of(l, (view_study_method)m, s->runs);
         r->cost_se = jackknife(l, (view_study_method)m, cost_of);
         r->cost_median = median_cost(l, (view_study_method)m);
