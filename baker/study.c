@@ -206,10 +206,10 @@ static void give_advice(study *s)
     for (int t = 0; t < STUDY_TARGETS; ++t) {
         study_advice *a = &s->advice[t];
         *a = (study_advice){.target = TARGETS[t]};
-        /* the least of the ladder is enough, or by the line, if it falls */
-        const double n = report_slope_y(error, (double)least->photons) <= TARGETS[t] ? (double)least->photons
-                         : error.slope < 0                                           ? report_slope_x(error, TARGETS[t])
-                                                                                     : (double)NAN;
+        /* where errors don't fall, as far as one sees, the least bake will do if that in the middle does */
+        const double n = error.slope < 0         ? fmax(report_slope_x(error, TARGETS[t]), (double)least->photons)
+                         : error.y <= TARGETS[t] ? (double)least->photons
+                                                 : (double)NAN;
         if (!(n <= FORETOLD * (double)most->photons))
             continue;
         a->reachable = true;

@@ -54,100 +54,106 @@ report_slope report_slope_fit(const double *x, const double *y, size_t count)
     return f;
 }
 
-/* A point of a fit of squares: logarithm of x, square, variance of its noise, weight. */
+/* A point of a fit of squares: logarithm of x, square, variance of its noise. */
 typedef struct point {
-    double t, square, variance, weight;
+    double t, square, variance;
 } point;
 
-/* The factor A of A exp(b t) that is nearest to the points, and how near: the sum of weighted squares; A isn't negative. */
-static double nearest(const point *p, size_t count, double b, double *factor)
+/* What a law exp(a + b t) says of a point: its square and the variance of that, noise and luck. */
+static double law(const point *p, double a, double b, double luck, double *variance)
 {
-    double mm = 0, ms = 0, sum = 0;
+    const double m = exp(a + b * p->t);
+    *variance = fmax(p->variance + 4 * luck * luck * m * m, 1e-300);
+    return m;
+}
+
+/* Minus twice the logarithm of the likelihood, but for a constant. */
+static double unlikely(const point *p, size_t count, double a, double b, double luck)
+{
+    double sum = 0;
     for (size_t i = 0; i < count; ++i) {
-        const double m = exp(b * p[i].t);
-        mm += p[i].weight * m * m;
-        ms += p[i].weight * m * p[i].square;
-    }
-    *factor = ms > 0 ? ms / mm : 0;
-    for (size_t i = 0; i < count; ++i) {
-        const double d = p[i].square - *factor * exp(b * p[i].t);
-        sum += p[i].weight * d * d;
+        double v;
+        const double d = p[i].square - law(&p[i], a, b, luck, &v);
+        sum += d * d / v + log(v);
     }
     return sum;
 }
 
-/* The exponent b of the nearest A exp(b t): the best of a row, then ever finer about it. */
-static double nearest_exponent(const point *p, size_t count, double *factor)
-{
-    static const double STEEPEST = 6; /* of squares: errors that fall faster than the third power of x aren't looked for */
-    enum { ROW = 48, FINER = 40 };
-    double at = 0, step = 2 * STEEPEST / ROW, unused, least = INFINITY;
-    for (int k = 0; k <= ROW; ++k) {
-        const double b = -STEEPEST + k * step, sum = nearest(p, count, b, &unused);
-        if (sum < least) {
-            least = sum;
-            at = b;
-        }
-    }
-    for (int round = 0; round < FINER; ++round, step *= 0.5)
-        for (int side = -1; side <= 1; side += 2) {
-            const double b = at + 0.5 * side * step, sum = nearest(p, count, b, &unused);
-            if (sum < least) {
-                least = sum;
-                at = b;
-            }
-        }
-    nearest(p, count, at, factor);
-    return at;
-}
-
 report_slope report_squares_fit(const double *x, const double *square, const double *standard_error, double luck, size_t count)
 {
-    enum { MOST = 64, ROUNDS = 10 };
+    enum { MOST = 64, ROW = 48, COLUMN = 64, FINER = 60 };
+    /* Looked for: squares that change by at most so many powers of x, and are at most so many e-folds below the largest. */
+    static const double STEEPEST = 6, DEEPEST = 20;
+    /* The law's squares have to be so many standard errors in all, or they are noise. */
+    static const double SEEN = 2;
     report_slope f = NO_SLOPE;
     point p[MOST];
-    double middle = 0, spread = 0;
+    double middle = 0, spread = 0, most = 0;
     for (size_t i = 0; i < count && f.points < MOST; ++i) {
         if (!(isfinite(x[i]) && x[i] > 0 && isfinite(square[i]) && isfinite(standard_error[i])))
             continue;
         if (!(standard_error[i] > 0 || (luck > 0 && square[i] > 0)))
             continue;
         p[f.points++] = (point){.t = log(x[i]), .square = square[i], .variance = standard_error[i] * standard_error[i]};
+        most = fmax(most, square[i]);
     }
     for (size_t i = 0; i < f.points; ++i)
         middle += p[i].t / (double)f.points;
     for (size_t i = 0; i < f.points; ++i) {
-        p[i].t -= middle; /* so that A is of the order of the squares */
+        p[i].t -= middle; /* so that a is of the order of the squares' logarithms */
         spread += p[i].t * p[i].t;
     }
-    if (f.points < 3 || !(spread > 0))
+    if (f.points < 3 || !(spread > 0) || !(most > 0))
         return f;
-    double factor = 0, b = 0;
-    for (int round = 0; round < ROUNDS; ++round) {
-        for (size_t i = 0; i < f.points; ++i) {
-            /* luck is a part of what the law says; in the first round it hasn't said anything yet */
-            const double lucky = 2 * luck * (round ? factor * exp(b * p[i].t) : fmax(p[i].square, 0));
-            p[i].weight = 1 / (p[i].variance + lucky * lucky);
+    /* The likeliest of a grid, then ever finer about it. */
+    const double top = log(most) + 2;
+    double a = top, b = 0, step_a = DEEPEST / COLUMN, step_b = 2 * STEEPEST / ROW, least = INFINITY;
+    for (int k = 0; k <= ROW; ++k)
+        for (int i = 0; i <= COLUMN; ++i) {
+            const double here_a = top - i * step_a, here_b = -STEEPEST + k * step_b,
+                         sum = unlikely(p, f.points, here_a, here_b, luck);
+            if (sum < least) {
+                least = sum;
+                a = here_a;
+                b = here_b;
+            }
         }
-        b = nearest_exponent(p, f.points, &factor);
-        if (!(factor > 0))
-            return f;
+    for (int round = 0; round < FINER;) {
+        const double from_a = a, from_b = b;
+        for (int k = 0; k < 9; ++k) {
+            const double here_a = from_a + (k / 3 - 1) * step_a, here_b = from_b + (k % 3 - 1) * step_b,
+                         sum = unlikely(p, f.points, here_a, here_b, luck);
+            if (sum < least && fabs(here_b) <= STEEPEST) {
+                least = sum;
+                a = here_a;
+                b = here_b;
+            }
+        }
+        if (a == from_a && b == from_b) {
+            step_a *= 0.5;
+            step_b *= 0.5;
+            ++round;
+        }
     }
-    /* Information on log A and b; the point where they are independent. */
-    double information = 0, first = 0, second = 0, chi = 0;
+    if (fabs(b) > 0.99 * STEEPEST)
+        return f;
+    /* Information on a and b; the point where they are independent. */
+    double information = 0, first = 0, second = 0, chi = 0, seen = 0;
     for (size_t i = 0; i < f.points; ++i) {
-        const double m = factor * exp(b * p[i].t), w = p[i].weight * m * m, d = p[i].square - m;
+        double v;
+        const double m = law(&p[i], a, b, luck, &v), w = m * m / v, d = p[i].square - m;
         information += w;
         first += w * p[i].t;
         second += w * p[i].t * p[i].t;
-        chi += p[i].weight * d * d;
+        chi += d * d / v;
+        seen += p[i].variance > 0 ? m * m / p[i].variance : (double)INFINITY;
     }
     const double at = first / information, left = second - first * at;
-    if (!(left > 0))
+    if (!(left > 0) || !(seen > SEEN * SEEN))
         return f;
     f.slope = 0.5 * b;
     f.x = exp(middle + at);
-    f.y = sqrt(factor * exp(b * at));
+    f.y = exp(0.5 * (a + b * at));
     f.standard_error = 0.5 * sqrt(fmax(chi / (double)(f.points - 2), 1) / left);
     f.confidence = student(f.points - 2) * f.standard_error;
     return f;

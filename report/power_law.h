@@ -18,12 +18,13 @@ typedef struct report_slope {
  * fewer than three of them, or all at one x, make everything but points NAN. */
 report_slope report_slope_fit(const double *x, const double *y, size_t count);
 
-/* The same of squares y^2 that are known with an error and may so be negative, as a square less its noise is: least squares of the
- * squares themselves, so that small ones count whatever their sign.  (A line through the logarithms of those that are positive
- * would be through the luckless: too flat.)  Points weigh by their standard error and the power law's own part luck in y, which
- * points that are without noise scatter by; the fit's standard error is by these, or by the residuals if they are larger.  Points
- * count whose x is positive, and whose standard error or luck is; fewer than three, all at one x, or squares that are nothing on
- * the whole, make everything but points NAN. */
+/* The same of squares y^2 that are known with an error and may so be negative, as a square less its noise is: the power law that
+ * makes the squares themselves likeliest, so that small ones count whatever their sign.  (A line through the logarithms of those
+ * that are positive leaves out the lucky: too flat.)  The squares are taken as normal about the law's, with their standard errors
+ * and luck, the part of y that points scatter by without noise; the fit's standard error is by these, or by the residuals if they
+ * are larger: at least 95 % are within confidence if luck is right and the points' noise is their own.  Points count, 64 at most,
+ * whose x is positive, and whose standard error or luck is.  Fewer than three, all at one x, a law that isn't seen above the noise,
+ * or one steeper than y ~ x^3, make everything but points NAN. */
 report_slope report_squares_fit(const double *x, const double *square, const double *standard_error, double luck, size_t count);
 
 /* y of the line at x, and x of the line at y. */
