@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The slope of a log-log plot: by linear regression of the logarithms, and of squares by least squares weighted anew in each round.
- */
+/* The slope of a log-log plot: by linear regression of the logarithms, and of squares by the greatest likelihood. */
 #include "power_law.h"
 
 #include <math.h>
@@ -59,7 +58,8 @@ typedef struct point {
     double t, square, variance;
 } point;
 
-/* What a law exp(a + b t) says of a point: its square and the variance of that, noise and luck. */
+/* What a law exp(a + b t) says of a point: its square and the variance of that, noise and luck; about the least of normal doubles,
+ * so that squares that underflow divide by something. */
 static double law(const point *p, double a, double b, double luck, double *variance)
 {
     const double m = exp(a + b * p->t);

@@ -75,7 +75,7 @@ static void look_along(void *self, const lmg_ray *rays, size_t n)
 {
     looks *l = self;
     lmg_error err = {{0}};
-    looked *more = realloc(l->at, (l->count + n) * sizeof(*more));
+    looked *more = realloc(l->at, (l->count + n + 1) * sizeof(*more)); /* never of nothing */
     if (!more)
         bench_demand(lmg_fail(&err, LMG_ERROR_MEMORY, "no memory to judge radiance"), &err);
     l->at = more;

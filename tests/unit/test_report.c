@@ -55,7 +55,8 @@ static void scattered_power_law(void **state)
     assert_string_equal(report_slope_text(report_slope_fit(X, Y, 2), "+-", text), "-");
 }
 
-/* Squares without noise to speak of lie on their line, whatever they weigh; and of those that aren't there nothing is said. */
+/* Squares on their law, which are found there whatever they weigh (standard errors of up to half of them); and of those that aren't
+ * there nothing is said.  1e-6: a likelihood of some -200 is known to 3e-14, hence its least to 2e-7 of a standard error. */
 static void exact_squares(void **state)
 {
     (void)state;
@@ -69,7 +70,8 @@ static void exact_squares(void **state)
     assert_int_equal(f.points, 9);
     assert_true(fabs(f.slope + 0.4) < 1e-6 && f.standard_error > 0 && f.confidence > f.standard_error);
     assert_true(fabs(report_slope_y(f, 1e6) - 0.03) < 1e-6);
-    /* luck that didn't happen: the likeliest is a fiftieth lower, since less scatters less */
+    /* Luck that didn't happen: the likeliest squares are lower by 4 luck^2 at most, since less scatters less, which is 2 % of y; by
+     * less where noise weighs more than luck, which turns the slope by some of these 2 % over a factor of 256. */
     f = report_squares_fit(x, square, se, 0.1, 9);
     assert_true(fabs(f.slope + 0.4) < 0.01);
     assert_true(fabs(report_slope_y(f, 1e6) / 0.03 - 1) < 0.025);
